@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The host side: everything that touches Blender, except panels. Registers and unregisters all of it, in order.
+
+Imports happen inside the functions, so that importing the package (for `burnish.engine`) never loads bpy.
+"""
+
+from __future__ import annotations
+
+__all__ = ["register", "unregister"]
+
+
+def register() -> None:
+    """Register the engine, its settings, panels, preferences and handlers with Blender."""
+    from .. import ui
+    from . import handlers, preferences, render_engine, services
+
+    ui.register(services.make_services())
+    preferences.register()
+    render_engine.register()
+    handlers.register()
+
+
+def unregister() -> None:
+    """Undo `register`, in reverse, and stop everything that still runs."""
+    from .. import ui
+    from . import handlers, preferences, render_engine
+
+    handlers.unregister()
+    render_engine.unregister()
+    preferences.unregister()
+    ui.unregister()

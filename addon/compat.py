@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every difference between Blender versions, nowhere else. Written for 5.2; 5.0 and 5.1 are supported too."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+__all__ = ["OLDEST", "exit_handlers", "pass_name", "set_texture_filter", "supported"]
+
+OLDEST = (5, 0, 0)
+"""Oldest Blender that has what the engine needs: bpy.types.InlineShaderNodes."""
+
+# Pass names before 5.0 (Blender renamed its built-in passes then).
+OLD_PASS_NAMES = {"Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env"}
+
+
+def supported() -> bool:
+    """Tell whether this Blender is new enough."""
+    return bpy.app.version >= OLDEST
+
+
+def pass_name(name: str) -> str:
+    """Return Blender's internal name of a built-in pass."""
+    return name if bpy.app.version >= (5, 0, 0) else OLD_PASS_NAMES.get(name, name)
+
+
+def exit_handlers() -> list[Any] | None:
+    """Return the list of functions that Blender calls before it quits, or None where it has no such list."""
+    return getattr(bpy.app.handlers, "exit_pre", None)
+
+
+def set_texture_filter(texture: Any, linear: bool) -> None:
+    """Choose linear or nearest sampling of a GPUTexture; without the method (before 5.0) the default stays."""
+    if hasattr(texture, "filter_mode"):
+        texture.filter_mode(linear)

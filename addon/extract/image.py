@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's images as ImageData: files, packed files, sequences, generated and painted images.
+
+Files are only named, for the engine to read; packed ones are read here, in parallel, straight from memory; what
+exists in Blender alone (generated, painted, movies) is taken from `Image.pixels`. Those are, as measured on Blender
+5.2: bottom row first; for 8-bit images as stored with straight alpha; for float images scene-linear and multiplied by
+alpha, unless the image is data or channel-packed. Colour spaces other than sRGB and the working space are converted
+here, with Blender's OpenColorIO configuration.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...engine.report import Report, ReportKind
+from ...engine.scene import AlphaMode, ColorEncoding, ImageData
+from ...engine.textures import (
+    DATA_SPACES,
+    FilePixels,
+    ImageUnreadable,
+    can_read_bytes,
+    read_bytes,
+    read_file,
+    to_linear,
+)
+
+__all__ = ["ImageCollector", "sequence_frame", "sequence_path"]
+
+Key = Hashable
+THREADS_MAX = 8
+TILE_TOKENS = ("<UDIM>", "<UVTILE>")
+
+
+def sequence_frame(scene_frame: int, image_user: bpy.types.ImageUser | None) -> int:
+    """Return the number of the file shown at a scene frame (BKE_image_user_frame_get in Blender's image.cc)."""
+    if image_user is None:
+        return scene_frame
+    length = image_user.frame_duration
+    if length == 0:
+        return 0
+    frame = scene_frame - image_user.frame_start + 1
+    frame = (frame - 1) % length + 1 if image_user.use_cyclic else min(max(frame, 1), length)
+    return frame + image_user.frame_offset
+
+
+def sequence_path(path: str, frame: int) -> str:
+    """Return a sequence's path with the last number in the file's name replaced by `frame`, digits kept."""
+    folder, name = os.path.split(path)
+    stem, extension = os.path.splitext(name)
+    numbers = list(re.finditer(r"\d+", stem))
+    if not numbers:
+        return path
+    last = numbers[-1]
+    stem = f"{stem[:last.start()]}{frame:0{len(last.group())}d}{stem[last.end():]}"
+    return os.path.join(folder, stem + extension)
+
+
+def working_space() -> str:
+    """Return the name of the file's scene-linear space."""
+    colorspace = getattr(bpy.data, "colorspace", None)
+    return colorspace.working_space if colorspace else "Linear Rec.709"
+
+
+def ocio_config() -> str:
+    """Return the path of the OpenColorIO configuration that Blender uses, or an empty string."""
+    folder = bpy.utils.system_resource("DATAFILES", path="colormanagement")
+    candidates = (os.environ.get("OCIO", ""), os.path.join(folder or "", "config.ocio"))
+    return next((path for path in candidates if path and os.path.isfile(path)), "")
+
+
+@dataclass(frozen=True)
+class _Space:
+    """What an image's colour space asks for."""
+
+    name: str
+    working: str
+
+    @property
+    def is_data(self) -> bool:
+        return self.name in DATA_SPACES
+
+    @property
+    def encoding(self) -> ColorEncoding | None:
+        """How texels are decoded on lookup; None: they must be converted first."""
+        if self.is_data or self.name in (self.working, "scene_linear"):
+            return ColorEncoding.LINEAR
+        if self.name == "sRGB" and self.working == "Linear Rec.709":
+            return ColorEncoding.SRGB
+        return None
+
+
+class ImageCollector:
+    """Collects the images that materials use; remembers between updates what has been handed over."""
+
+    def __init__(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, report: Report | None = None) -> None:
+        self._known: dict[Key, tuple] = {}
+        self.begin(depsgraph_or_scene, report)
+
+    def begin(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, report: Report | None = None, *,
+              full: bool = False) -> None:
+        """Start an update: forget its predecessor's images, but not which ones were handed over.
+
+        Args:
+            depsgraph_or_scene: Gives the frame; a depsgraph also tells which images were painted on. With a scene,
+                painted and generated images count as changed.
+            report: Receives what is approximated; a new one if None.
+            full: Hand everything over again.
+        """
+        self.report = report if report is not None else Report()
+        self._images: dict[Key, ImageData] = {}
+        self._jobs: dict[Key, Callable[[], ImageData]] = {}
+        self._seen: set[Key] = set()
+        self._touched: set[int] | None = None
+        if full:
+            self._known.clear()
+        scene = depsgraph_or_scene
+        if isinstance(depsgraph_or_scene, bpy.types.Depsgraph):
+            scene = depsgraph_or_scene.scene
+            self._touched = {update.id.session_uid for update in depsgraph_or_scene.updates
+                             if isinstance(update.id, bpy.types.Image)}
+        self._frame = scene.frame_current
+        self._working = working_space()
+
+    @property
+    def images(self) -> dict[Key, ImageData]:
+        """New and changed images of this update, by key. Waits for packed files to be read."""
+        if self._jobs:
+            jobs, self._jobs = self._jobs, {}
+            with ThreadPoolExecutor(min(len(jobs), os.cpu_count() or 1, THREADS_MAX)) as pool:
+                self._images |= dict(zip(jobs, pool.map(lambda job: job(), jobs.values()), strict=True))
+        return self._images
+
+    def key(self, image: bpy.types.Image, image_user: bpy.types.ImageUser | None = None) -> Key:
+        """Return the key of an image (a sequence: of its current frame), and record its data if that changed."""
+        frame = sequence_frame(self._frame, image_user) if image.source == "SEQUENCE" else 0
+        key = (image.session_uid, frame)
+        if key in self._seen:
+            return key
+        self._seen.add(key)
+        path = bpy.path.abspath(image.filepath, library=image.library) if image.filepath else ""
+        path = sequence_path(path, frame) if image.source == "SEQUENCE" else path
+        space = _Space(image.colorspace_settings.name, self._working)
+        in_blender = image.source in ("GENERATED", "MOVIE", "VIEWER") or image.is_dirty
+        signature = self._signature(image, path, space)
+        touched = in_blender if self._touched is None else image.session_uid in self._touched
+        if self._known.get(key) == signature and not touched:
+            return key
+        self._known[key] = signature
+        if in_blender:
+            self._images[key] = self._from_blender(image, space)
+        elif len(image.packed_files):
+            self._from_memory(key, image, space)
+        else:
+            self._from_file(key, image, path, space)
+        return key
+
+    def _signature(self, image: bpy.types.Image, path: str, space: _Space) -> tuple:
+        """Return what changes when an image's content or meaning does; painting is seen by the depsgraph."""
+        stamp = None
+        if path and not len(image.packed_files) and os.path.isfile(path):
+            status = os.stat(path)
+            stamp = (status.st_mtime_ns, status.st_size)
+        packed = tuple(file.size for file in image.packed_files)
+        generated = (image.generated_type, *image.size, tuple(image.generated_color)) \
+            if image.source == "GENERATED" else ()
+        return path, stamp, packed, generated, image.source, image.is_dirty, image.alpha_mode, space
+
+    def _from_file(self, key: Key, image: bpy.types.Image, path: str, space: _Space) -> None:
+        """Name a file, or have it read where its colours must be converted."""
+        exists = any(token in path for token in TILE_TOKENS) or os.path.isfile(path)
+        if space.encoding is None and exists:
+            mode, name, config = AlphaMode(image.alpha_mode), image.name, ocio_config()
+            self._jobs[key] = lambda: self._read(name, lambda: read_file(path), mode, space, config, path=path)
+            return
+        self._images[key] = ImageData(
+            name=image.name, path=path or None, encoding=space.encoding or ColorEncoding.SRGB,
+            source_colorspace=space.name, alpha_mode=AlphaMode(image.alpha_mode), missing=not exists)
+
+    def _from_memory(self, key: Key, image: bpy.types.Image, space: _Space) -> None:
+        """Have a packed file read; where the system can't, let Blender read it."""
+        if image.source == "TILED" and len(image.packed_files) > 1:
+            self._tell(image.name, "has UDIM tiles, of which only the first is drawn, on all of them")
+        if not can_read_bytes():
+            self._images[key] = self._from_blender(image, space)
+            return
+        data, mode, name, config = image.packed_files[0].data, AlphaMode(image.alpha_mode), image.name, ocio_config()
+        self._jobs[key] = lambda: self._read(name, lambda: read_bytes(data), mode, space, config)
+
+    def _read(self, name: str, read: Callable[[], FilePixels], mode: AlphaMode, space: _Space, config: str,
+              path: str | None = None) -> ImageData:
+        """Read an image and convert its colours if need be. Runs in a thread: touches nothing of Blender's."""
+        try:
+            picture = read()
+        except (ImageUnreadable, MemoryError):
+            return ImageData(name=name, path=path or "its packed file", missing=True)
+        if picture.cmyk:
+            self._tell(name, "is CMYK, converted to RGB without its colour profile")
+        if path and mode in (AlphaMode.STRAIGHT, AlphaMode.PREMUL):
+            # A file on disk says itself whether it is premultiplied; of packed ones Blender's setting decides.
+            mode = AlphaMode.STRAIGHT if picture.straight else AlphaMode.PREMUL
+        return self._finish(name, picture, mode, space, config)
+
+    def _finish(self, name: str, picture: FilePixels, mode: AlphaMode, space: _Space, config: str) -> ImageData:
+        """Return ImageData of pixels, converted to the working space if they need it."""
+        pixels, encoding, space_name = picture.pixels, space.encoding, space.name
+        if encoding is None:
+            straight = FilePixels(pixels, picture.has_alpha, mode is not AlphaMode.PREMUL)
+            converted = to_linear(straight, space.name, space.working, config) if config else None
+            if converted is None:
+                encoding = ColorEncoding.SRGB if pixels.dtype == np.uint8 else ColorEncoding.LINEAR
+                self._tell(name, f"is in colour space '{space.name}', which could not be converted: read as "
+                                 f"{'sRGB' if encoding is ColorEncoding.SRGB else 'linear'}")
+            else:
+                pixels, encoding, space_name = converted, ColorEncoding.LINEAR, space.working
+        return ImageData(name=name, pixels=pixels, encoding=encoding, source_colorspace=space_name, alpha_mode=mode)
+
+    def _from_blender(self, image: bpy.types.Image, space: _Space) -> ImageData:
+        """Copy the pixels that Blender holds."""
+        if image.source == "MOVIE":
+            self._tell(image.name, "is a movie, drawn as a still picture")
+        mode, loaded = AlphaMode(image.alpha_mode), image.has_data
+        width, height = image.size
+        if min(width, height) < 1 or len(image.pixels) != width * height * image.channels:
+            return ImageData(name=image.name, path="its pixels", missing=True)
+        values = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(values)
+        pixels = np.ascontiguousarray(values.reshape(height, width, image.channels)[::-1])
+        is_float = image.is_float
+        if not loaded and not image.is_dirty:
+            image.buffers_free()
+        if is_float:
+            if not space.is_data:
+                space = _Space(space.working, space.working)
+                mode = AlphaMode.PREMUL if mode is AlphaMode.STRAIGHT else mode
+        else:
+            np.multiply(pixels, 255.0, out=pixels)
+            pixels = np.rint(pixels, out=pixels).astype(np.uint8)
+            mode = AlphaMode.STRAIGHT if mode is AlphaMode.PREMUL else mode
+        return self._finish(image.name, FilePixels(pixels, image.channels in (2, 4), False), mode, space, ocio_config())
+
+    def _tell(self, name: str, message: str) -> None:
+        self.report.add(ReportKind.APPROXIMATED, f"image '{name}'", message)

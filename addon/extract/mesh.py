@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evaluated Blender mesh to MeshData: copies of positions, triangles, normals, UV maps and attributes.
+
+Reads attributes instead of RNA properties wherever there is one: `attributes['position']` takes 0.9 ms where
+`vertices.foreach_get('co')` takes 16.7 ms for 980,000 triangles. Main thread only; keeps nothing of bpy.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...engine.report import Report, ReportKind
+from ...engine.sanitize import report_counts, sanitize_mesh
+from ...engine.scene import MeshData
+
+__all__ = ["ATTRIBUTE_LIMIT", "extract_mesh"]
+
+ATTRIBUTE_LIMIT = 16
+"""Generic attributes read per mesh; colour attributes always come along"""
+
+# Python property and number of components per attribute type that a shader can read.
+_ATTRIBUTE_TYPES = {
+    'FLOAT': ('value', 1),
+    'INT': ('value', 1),
+    'INT8': ('value', 1),
+    'BOOLEAN': ('value', 1),
+    'FLOAT2': ('vector', 2),
+    'INT16_2D': ('value', 2),
+    'INT32_2D': ('value', 2),
+    'FLOAT_VECTOR': ('vector', 3),
+    'FLOAT_COLOR': ('color', 4),
+    'BYTE_COLOR': ('color', 4),
+    'QUATERNION': ('value', 4),
+}
+_COLOR_TYPES = {'FLOAT_COLOR', 'BYTE_COLOR'}
+_INTEGER_TYPES = {'INT', 'INT8', 'INT16_2D', 'INT32_2D'}
+# Geometry itself, which has fields of its own in MeshData.
+_GEOMETRY_NAMES = {'position', 'material_index', 'sharp_face', 'custom_normal'}
+
+
+def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Report) -> MeshData:
+    """Copy an evaluated mesh and clean it.
+
+    Args:
+        mesh: Evaluated mesh, not in edit mode.
+        owner: Name for messages, such as `object 'Floor'`.
+        slot_count: Material slots of the instance; indices are clamped to them as Blender does.
+        report: Takes what was left out or repaired.
+
+    Returns:
+        A MeshData that may have no triangles at all.
+    """
+    corner_vertices = _read_corner_vertices(mesh)
+    intact = not len(corner_vertices) or bool(corner_vertices.view(np.uint32).max() < len(mesh.vertices))
+    if not intact and len(mesh.loops) != 3 * len(mesh.polygons):
+        # Blender itself would read beyond the vertices while it splits the polygons.
+        report.add(ReportKind.SKIPPED, owner, "names vertices that don't exist and was left out; run Mesh > Clean Up")
+        return _empty_mesh(mesh.name)
+    corners, faces = _read_triangles(mesh)
+    gather = _Gather(mesh, corner_vertices, corners, faces)
+    data = MeshData(
+        name=mesh.name,
+        positions=_read(mesh.attributes['position'].data, 'vector', np.float32, len(mesh.vertices), 3),
+        triangles=gather.vertices,
+        material_slots=_read_material_slots(mesh, faces, slot_count),
+        corner_normals=_read_corner_normals(mesh, gather, intact),
+        uv_maps=_read_uv_maps(mesh, gather),
+        attributes=_read_attributes(mesh, gather, owner, report),
+        generated=_read_texture_space(mesh),
+    )
+    data, counts = sanitize_mesh(data)
+    report_counts(report, owner, counts)
+    return data
+
+
+class _Gather:
+    """Expands values of a domain to the corners of the triangles."""
+
+    def __init__(self, mesh: bpy.types.Mesh, corner_vertices: np.ndarray, corners: np.ndarray | None,
+                 faces: np.ndarray | None) -> None:
+        self.corners = corners
+        self.faces = faces
+        self.sizes = {'POINT': len(mesh.vertices), 'CORNER': len(mesh.loops), 'FACE': len(mesh.polygons)}
+        self.vertices = self._at_corners(corner_vertices).reshape(-1, 3)
+
+    def expand(self, values: np.ndarray, domain: str) -> np.ndarray:
+        """Return [T, 3, C] of the [N, C] `values` on `domain` ('POINT', 'CORNER' or 'FACE')."""
+        if domain == 'POINT':
+            if not len(values):
+                return np.zeros((len(self.vertices), 3, values.shape[-1]), values.dtype)
+            # The mesh may name vertices that don't exist; sanitize_mesh drops those triangles afterwards.
+            result = values.take(self.vertices, axis=0, mode='clip')
+        elif domain == 'CORNER':
+            result = self._at_corners(values).reshape(-1, 3, values.shape[-1])
+        else:
+            per_face = values if self.faces is None else values.take(self.faces, axis=0)
+            result = np.repeat(per_face[:, None], 3, axis=1)
+        return np.ascontiguousarray(result)
+
+    def _at_corners(self, values: np.ndarray) -> np.ndarray:
+        return values if self.corners is None else values.take(self.corners, axis=0)
+
+
+def _read(collection: bpy.types.bpy_prop_collection, name: str, dtype: type, count: int,
+          components: int = 1) -> np.ndarray:
+    """Return one property of all items, [count] or [count, components]."""
+    values = np.empty(count * components, dtype)
+    collection.foreach_get(name, values)
+    return values if components == 1 else values.reshape(count, components)
+
+
+def _empty_mesh(name: str) -> MeshData:
+    return MeshData(name=name, positions=np.empty((0, 3), np.float32), triangles=np.empty((0, 3), np.int32),
+                    material_slots=np.empty(0, np.int32), corner_normals=np.empty((0, 3, 3), np.float32))
+
+
+def _read_corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Return int32 [L], the vertex of each corner."""
+    if not len(mesh.loops):
+        return np.empty(0, np.int32)
+    return _read(mesh.attributes['.corner_vert'].data, 'value', np.int32, len(mesh.loops))
+
+
+def _read_triangles(mesh: bpy.types.Mesh) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the corners [3T] and the face [T] of each triangle; (None, None) where every face is a triangle."""
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    if count == len(mesh.polygons) and len(mesh.loops) == 3 * count:
+        return None, None
+    corners = _read(mesh.loop_triangles, 'loops', np.int32, 3 * count)
+    faces = _read(mesh.loop_triangle_polygons, 'value', np.int32, count)
+    return corners, faces
+
+
+def _read_material_slots(mesh: bpy.types.Mesh, faces: np.ndarray | None, slot_count: int) -> np.ndarray:
+    """Return int32 [T]."""
+    triangle_count = len(mesh.loop_triangles)
+    attribute = mesh.attributes.get('material_index')
+    if attribute is None or attribute.domain != 'FACE' or attribute.data_type != 'INT' or slot_count < 2:
+        return np.zeros(triangle_count, np.int32)
+    slots = _read(attribute.data, 'value', np.int32, len(mesh.polygons))
+    np.clip(slots, 0, slot_count - 1, out=slots)
+    return slots if faces is None else slots.take(faces)
+
+
+def _read_corner_normals(mesh: bpy.types.Mesh, gather: _Gather, intact: bool) -> np.ndarray:
+    """Return float32 [T, 3, 3]; flat faces, sharp edges and custom normals are already in Blender's own."""
+    if not len(mesh.loops) or not intact:
+        return np.zeros((len(gather.vertices), 3, 3), np.float32)  # sanitize_mesh puts in face normals
+    return gather.expand(_read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3), 'CORNER')
+
+
+def _read_uv_maps(mesh: bpy.types.Mesh, gather: _Gather) -> dict[str, np.ndarray]:
+    """Return all UV maps, the one active for rendering first."""
+    # Sorting is stable: the others keep Blender's order.
+    layers = sorted(mesh.uv_layers, key=lambda layer: not layer.active_render)
+    maps = {}
+    for layer in layers:
+        attribute = mesh.attributes.get(layer.name)
+        if attribute is not None and len(attribute.data) == gather.sizes['CORNER']:
+            values = _read(attribute.data, 'vector', np.float32, gather.sizes['CORNER'], 2)
+            maps[layer.name] = gather.expand(values, 'CORNER')
+    return maps
+
+
+def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: Report) -> dict[str, np.ndarray]:
+    """Return colour attributes (the one active for rendering first), then up to ATTRIBUTE_LIMIT others."""
+    uv_names = {layer.name for layer in mesh.uv_layers}
+    chosen = [attribute for attribute in mesh.attributes
+              if attribute.name not in _GEOMETRY_NAMES and attribute.name not in uv_names
+              and not attribute.name.startswith('.') and attribute.domain in gather.sizes
+              and attribute.data_type in _ATTRIBUTE_TYPES]
+    colors = [attribute for attribute in chosen if attribute.data_type in _COLOR_TYPES]
+    active = mesh.color_attributes.render_color_index if colors else -1
+    active_name = mesh.color_attributes[active].name if 0 <= active < len(mesh.color_attributes) else None
+    colors.sort(key=lambda attribute: attribute.name != active_name)
+    others = [attribute for attribute in chosen if attribute.data_type not in _COLOR_TYPES]
+    if len(others) > ATTRIBUTE_LIMIT:
+        names = ", ".join(f"'{attribute.name}'" for attribute in others[ATTRIBUTE_LIMIT:])
+        report.add(ReportKind.SKIPPED, owner, f"attributes beyond the first {ATTRIBUTE_LIMIT} were left out: {names}")
+    values = {}
+    for attribute in colors + others[:ATTRIBUTE_LIMIT]:
+        if len(attribute.data) == gather.sizes[attribute.domain]:
+            values[attribute.name] = gather.expand(_read_vec4(attribute), attribute.domain)
+    return values
+
+
+def _read_vec4(attribute: bpy.types.Attribute) -> np.ndarray:
+    """Return float32 [N, 4] as Cycles widens attributes: a number fills red, green and blue; alpha is 1."""
+    name, components = _ATTRIBUTE_TYPES[attribute.data_type]
+    dtype = np.int32 if attribute.data_type in _INTEGER_TYPES else np.float32
+    if attribute.data_type == 'BOOLEAN':
+        dtype = np.bool_
+    count = len(attribute.data)
+    stored = _read(attribute.data, name, dtype, count, components).reshape(count, components)
+    if components == 4:
+        return stored.astype(np.float32, copy=False)
+    values = np.zeros((count, 4), np.float32)
+    values[:, :max(components, 1)] = stored
+    if components == 1:
+        values[:, 1:3] = stored
+    values[:, 3] = 1.0
+    return values
+
+
+def _read_texture_space(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return location and size of the texture space, which Generated coordinates map to 0..1."""
+    return np.array(mesh.texspace_location, np.float32), np.array(mesh.texspace_size, np.float32)

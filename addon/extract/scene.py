@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dependency graph to SceneDelta: everything once, then only what changed.
+
+Owns what was sent last (plain data, keyed by session_uid), so that each extraction can leave out what is the same.
+Main thread only; nothing of bpy survives a call.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import bpy
+
+from ...engine.report import Report
+from ...engine.scene import (
+    ImageData,
+    InstanceTable,
+    LightData,
+    MaterialData,
+    MeshData,
+    SceneDelta,
+    WorldData,
+)
+from .changes import Changes, MeshKeys, mark_moved, read_changes, same_fields, same_lights, same_table
+from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances
+from .light import extract_light
+from .mesh import extract_mesh
+
+__all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
+
+Progress = Callable[[str, float], None]
+
+# Luminance (the Y row of RGB to XYZ) of the working spaces that a file can have.
+_LUMINANCE_WEIGHTS = {
+    "Linear Rec.2020": (0.2627002, 0.6779981, 0.0593017),
+    "ACEScg": (0.2722287, 0.6740818, 0.0536895),
+}
+
+
+@dataclass
+class ExtractionCounts:
+    """How many data-blocks the last extraction read or sent."""
+
+    meshes: int = 0
+    """Read and sent"""
+    materials: int = 0
+    """Read; those that turned out the same were not sent"""
+    images: int = 0
+    """Sent"""
+    instances: int = 0
+    """Walked over; 0 where the walk was spared"""
+    lights: int = 0
+    """Sent"""
+    worlds: int = 0
+    """Read"""
+
+
+@dataclass
+class _Callbacks:
+    """How the caller is told and asked."""
+
+    progress: Progress | None
+    cancelled: Callable[[], bool] | None
+
+    def step(self, text: str, fraction: float) -> None:
+        """Tell the progress; raises ExtractionCancelled where the caller wants no more."""
+        if self.progress is not None:
+            self.progress(text, fraction)
+        if self.cancelled is not None and self.cancelled():
+            raise ExtractionCancelled
+
+
+class SceneExtractor:
+    """Reads one scene again and again; one per session."""
+
+    def __init__(self) -> None:
+        self.counts = ExtractionCounts()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was sent: the next extraction is full."""
+        self._identity: tuple | None = None
+        self._view: tuple[str, int] | None = None
+        self._refresh = False
+        self._frame: float | None = None
+        self._mesh_keys = MeshKeys()
+        self._empty_meshes: set[int] = set()
+        self._mesh_reports: dict[int, Report] = {}
+        self._table: InstanceTable | None = None
+        self._lights: list[LightData] | None = None
+        self._light_factors: dict[int, tuple[tuple[float, float, float], Report]] = {}
+        self._materials: dict[Hashable, tuple[MaterialData, Report]] = {}
+        self._world: WorldData | None = None
+        self._world_uid: int | None = None
+        self._world_report = Report()
+        self._images: dict[Hashable, ImageData] = {}
+        self._walk_report = Report()
+
+    def refresh(self) -> None:
+        """Read everything again next time, but keep meshes that weren't evaluated again (after undo)."""
+        self._refresh = True
+
+    def extract(self, depsgraph: bpy.types.Depsgraph, *, viewport: bool, report: Report,
+                progress: Progress | None = None, cancelled: Callable[[], bool] | None = None,
+                space: bpy.types.SpaceView3D | None = None) -> SceneDelta:
+        """Return what changed since the last call; everything on the first.
+
+        Args:
+            depsgraph: Evaluated dependency graph.
+            viewport: Trust `depsgraph.updates` (only right inside `view_update`); else all but unchanged meshes is
+                read again, and what came out the same is not sent.
+            report: Takes the entries about everything that is now in the scene, changed or not: pass a fresh one.
+            progress: Called with a text and a fraction.
+            cancelled: Asked often; True ends the extraction.
+            space: Viewport whose local view and collection visibility apply.
+
+        Raises:
+            ExtractionCancelled: `cancelled` returned True. The next extraction is full.
+        """
+        self.counts = ExtractionCounts()
+        start = time.perf_counter()
+        full = self._begin(depsgraph, space)
+        changes = self._changes(depsgraph, full or not viewport)
+        delta = SceneDelta(full=full, luminance_weights=_luminance_weights())
+        callbacks = _Callbacks(progress, cancelled)
+        try:
+            self._extract_changed(delta, depsgraph, changes, space, callbacks)
+        except BaseException:
+            self.reset()
+            raise
+        self._merge_reports(report)
+        delta.extra["extract_seconds"] = time.perf_counter() - start
+        return delta
+
+    def _begin(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None) -> bool:
+        """Return whether another scene than before is to be read; forgets the old one then."""
+        # A loaded file gives every data-block another session_uid.
+        identity = (depsgraph.scene.session_uid, depsgraph.mode, _working_space())
+        full = identity != self._identity
+        if full:
+            self.reset()
+            self._identity = identity
+        view = (depsgraph.view_layer.name, space.as_pointer() if space is not None else 0)
+        self._refresh |= view != self._view
+        self._view = view
+        return full
+
+    def _changes(self, depsgraph: bpy.types.Depsgraph, everything: bool) -> Changes:
+        changes = Changes(everything=True) if everything or self._refresh else read_changes(depsgraph)
+        frame = depsgraph.scene.frame_current_final
+        if frame != self._frame and any(image.source in {'SEQUENCE', 'MOVIE'} for image in bpy.data.images):
+            changes.everything = True
+        self._frame = frame
+        self._refresh = False
+        return changes
+
+    def _extract_changed(self, delta: SceneDelta, depsgraph: bpy.types.Depsgraph, changes: Changes,
+                         space: bpy.types.SpaceView3D | None, callbacks: _Callbacks) -> None:
+        if not changes:
+            return
+        callbacks.step("Reading the scene", 0.0)
+        images = _image_collector(depsgraph)
+        if changes.everything or changes.instances or changes.materials or changes.images:
+            self._walk_report = Report()
+            gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
+                                        cancelled=callbacks.cancelled)
+            self.counts.instances = len(gathered.rows)
+            self._extract_meshes(delta, gathered, changes, callbacks)
+            self._extract_lights(delta, gathered, changes)
+            self._extract_materials(delta, gathered, changes, images, callbacks)
+        self._extract_world(delta, depsgraph, changes, images)
+        self._extract_images(delta, images, changes)
+
+    def _extract_meshes(self, delta: SceneDelta, gathered: Gathered, changes: Changes,
+                        callbacks: _Callbacks) -> None:
+        """Read new and changed meshes, then make the table of their instances."""
+        keys, new = self._mesh_keys.assign(gathered.sources)
+        for key, source in zip(keys, gathered.sources, strict=True):
+            # Edit mode and sculpting may change a mesh without evaluating it anew.
+            if key is not None and source.uid in changes.geometry:
+                new.setdefault(key, source)
+        for number, (key, source) in enumerate(new.items()):
+            callbacks.step(f"Reading mesh '{source.name}'", number / len(new))
+            data = self._read_mesh(key, source)
+            self._empty_meshes.discard(key)
+            if len(data.triangles):
+                delta.meshes[key] = data
+            else:
+                self._empty_meshes.add(key)
+        self.counts.meshes = len(new)
+        self._mesh_reports = {key: self._mesh_reports[key] for key in set(keys) - {None}}
+        table = build_table(gathered, [None if key in self._empty_meshes else key for key in keys], self._walk_report)
+        if self._table is not None:
+            mark_moved(table, self._table)
+        if self._table is None or not same_table(table, self._table):
+            delta.instances = table
+        self._table = table
+
+    def _read_mesh(self, key: int, source: Source) -> MeshData:
+        mesh_report = self._mesh_reports[key] = Report()
+        owner, slot_count = f"object '{source.name}'", len(source.material_set)
+        if not source.data.is_editmode:
+            return extract_mesh(source.data, owner, slot_count, mesh_report)
+        # In edit mode the evaluated mesh has no arrays of its own.
+        try:
+            return extract_mesh(source.owner.to_mesh(), owner, slot_count, mesh_report)
+        finally:
+            source.owner.to_mesh_clear()
+
+    def _extract_lights(self, delta: SceneDelta, gathered: Gathered, changes: Changes) -> None:
+        lights = []
+        if changes.everything:
+            self._light_factors.clear()
+        for index, row in enumerate(gathered.rows):
+            placement = gathered.placements[row]
+            source = gathered.sources[placement.source]
+            if source.is_light:
+                light = extract_light(source.data, gathered.transforms[index].copy(), placement.visibility,
+                                      self._light_factor(source.data, changes), f"light '{source.name}'",
+                                      self._walk_report)
+                if light is not None:
+                    lights.append(light)
+        if not same_lights(lights, self._lights):
+            delta.lights = lights
+            self.counts.lights = len(lights)
+        self._lights = lights
+
+    def _light_factor(self, light: bpy.types.Light, changes: Changes) -> tuple[float, float, float]:
+        """Return the factor of a lamp's node tree, read once per change of the lamp."""
+        from .material import extract_light_factor
+
+        uid = light.original.session_uid
+        if uid in changes.lights:
+            changes.lights.discard(uid)
+            self._light_factors.pop(uid, None)
+        if uid not in self._light_factors:
+            light_report = Report()
+            self._light_factors[uid] = (extract_light_factor(light, light_report), light_report)
+        return self._light_factors[uid][0]
+
+    def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: object,
+                           callbacks: _Callbacks) -> None:
+        from .material import extract_material
+
+        everything = changes.everything or bool(changes.images)
+        kept = {}
+        for number, (key, material) in enumerate(gathered.materials.items()):
+            old = self._materials.get(key)
+            if old is not None and not everything and key not in changes.materials:
+                kept[key] = old
+                continue
+            callbacks.step(f"Reading material '{material.name}'", number / len(gathered.materials))
+            material_report = Report()
+            data = extract_material(material, images, material_report)
+            self.counts.materials += 1
+            if old is None or not same_fields(data, old[0]):
+                delta.materials[key] = data
+            kept[key] = (data, material_report)
+        self._materials = kept
+
+    def _extract_world(self, delta: SceneDelta, depsgraph: bpy.types.Depsgraph, changes: Changes,
+                       images: object) -> None:
+        from .material import extract_world
+
+        world = depsgraph.view_layer_eval.world_override or depsgraph.scene_eval.world
+        uid = world.original.session_uid if world is not None else 0
+        if not (changes.everything or changes.world or changes.images or uid != self._world_uid):
+            return
+        self._world_report = Report()
+        data = extract_world(world, images, self._world_report)
+        if self._world is None or not same_fields(data, self._world):
+            delta.world = data
+        self._world, self._world_uid = data, uid
+        self.counts.worlds = 1
+
+    def _merge_reports(self, report: Report) -> None:
+        """Hand over what is true of the scene now, also where it was not read again."""
+        report.merge(self._walk_report)
+        parts = [*self._mesh_reports.values(), self._world_report]
+        parts += [part for _, part in self._light_factors.values()] + [part for _, part in self._materials.values()]
+        for part in parts:
+            report.merge(part)
+
+
+def _working_space() -> str:
+    return getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
+
+
+def _luminance_weights() -> tuple[float, float, float]:
+    return _LUMINANCE_WEIGHTS.get(_working_space(), SceneDelta.luminance_weights)

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Final renders: one call per view layer, its views in a loop; border, progress, cancel, passes, failures.
+
+Owns the error contract: whatever goes wrong ends in report.fail, so that `bpy.ops.render.render` raises and no file is
+written; device memory is freed in `finally`. May run outside the main thread: never touches bpy.context's window.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..engine.errors import BurnishError, InvalidScene
+from ..engine.report import Report
+from ..engine.scene import CameraData
+from ..engine.settings import RenderSettings
+from . import builds, passes, preferences, preview, report
+from .extract.camera import camera_from_scene
+from .extract.scene import SceneExtractor
+from .extract.settings import settings_from_scene
+from .progress import Cancelled, RenderProgress
+
+__all__ = ["FinishedHook", "RenderInfo", "crop_rectangle", "on_finished", "render"]
+
+log = logging.getLogger(__name__)
+
+STEP_SECONDS = 0.2
+"""Aimed-at length of one Session.step; a step ends within 0.1 s of a cancellation anyway."""
+STEP_SAMPLES_MAX = 64
+RESULT_SECONDS = 0.5
+"""Time between two partial pictures in the window."""
+
+open_session = builds.open_session
+build_kernels = builds.build_kernels
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderInfo:
+    """Figures of one rendered picture, for on_finished."""
+
+    frame: int
+    samples: int
+    """Samples per pixel reached"""
+    seconds: float
+    """Time spent sampling [s]"""
+    device: str
+    cancelled: bool
+    crop: tuple[int, int, int, int] | None
+    """x, y, width, height [px] of the border in the full frame"""
+    stats: Any
+    report: Report
+
+
+FinishedHook = Callable[[str, str, dict[str, np.ndarray], RenderInfo], None]
+
+on_finished: list[FinishedHook] = []
+"""Called after each picture with the names of view layer and view and the passes by name, [h, w, c], bottom row first.
+
+Blender has no pixels of a 'Render Result' in background; who needs them (the command line, tests) listens here.
+"""
+
+
+def render(engine: Any, depsgraph: Any) -> None:
+    """Render the view layer of `depsgraph` into `engine`; never raises: a failure is reported to Blender."""
+    if engine.is_preview:
+        preview.render(engine, depsgraph)
+        return
+    try:
+        with_session(engine, depsgraph, FinalRender(engine, depsgraph))
+    except Cancelled:
+        log.info("Render cancelled")
+    except Exception as error:
+        report.fail(engine, error)
+
+
+def with_session(engine: Any, depsgraph: Any, job: FinalRender) -> None:
+    """Build the kernels, open a session, run `job` in it and close it, whatever happens."""
+    build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break)
+    session = open_session(job.settings)
+    try:
+        job.run(session, depsgraph)
+    finally:
+        report.publish("Render", merged(session.report, job.report), report.session_details(session))
+        session.close()
+
+
+def merged(first: Report, second: Report) -> Report:
+    """Return a new report with the entries of both."""
+    both = Report()
+    both.merge(first)
+    both.merge(second)
+    return both
+
+
+class FinalRender:
+    """One view layer of one frame: what to render, in which order, and where to."""
+
+    def __init__(self, engine: Any, depsgraph: Any, overrides: Callable[[RenderSettings], RenderSettings] | None = None,
+                 ) -> None:
+        scene = depsgraph.scene_eval
+        self.engine = engine
+        self.scene = scene
+        self.layer = depsgraph.view_layer_eval.name
+        self.settings = preferences.with_device(settings_from_scene(scene, viewport=False))
+        if overrides is not None:
+            self.settings = overrides(self.settings)
+        self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval))
+        self.report = Report()
+        self.views = view_names(scene.render)
+        self.width, self.height = engine.resolution_x, engine.resolution_y
+        self.crop = crop_rectangle(scene.render, self.width, self.height)
+        self.progress = RenderProgress(engine, frame=scene.frame_current, layer=self.layer, parts=len(self.views),
+                                       background=bpy.app.background)
+
+    def run(self, session: Any, depsgraph: Any) -> None:
+        """Extract the scene once and render each view."""
+        extractor = SceneExtractor()
+        self.progress.stage("Reading the scene")
+        delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
+                                  cancelled=self.engine.test_break)
+        if delta is None or self.engine.test_break():
+            raise Cancelled
+        session.update(delta, self.progress.stage)
+        for part, view in enumerate(self.views):
+            self.progress.part = part
+            if len(self.views) > 1:
+                self.progress.title = f"{self.layer} | {view}"
+            self._render_view(session, depsgraph, view)
+            if self.engine.test_break():
+                return
+
+    def _render_view(self, session: Any, depsgraph: Any, view: str) -> None:
+        engine = self.engine
+        engine.active_view_set(view)
+        camera = view_camera(engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
+        names = tuple(aov.source for aov in self.aovs)
+        session.configure(self.settings, camera, self.width, self.height, self.crop, names)
+        width, height = (self.width, self.height) if self.crop is None else self.crop[2:]
+        # With a border, Blender's result has the border's size while it renders; Blender itself puts it into the frame.
+        result = engine.begin_result(0, 0, width, height, layer=self.layer, view=view)
+        if result is None:
+            raise BurnishError(f"Blender has no result of {width} x {height} pixels for view layer '{self.layer}'")
+        finished = False
+        try:
+            samples, seconds = self._sample(session, result)
+            pixels = {aov.name: session.read(aov.source) for aov in self.aovs}
+            self._write(result, pixels)
+            finished = True
+        finally:
+            engine.end_result(result, cancel=not finished)
+        info = RenderInfo(frame=self.scene.frame_current, samples=samples, seconds=seconds, crop=self.crop,
+                          device=session.device_name, cancelled=bool(engine.test_break()), stats=session.stats,
+                          report=merged(session.report, self.report))
+        for hook in list(on_finished):
+            hook(self.layer, view, pixels, info)
+
+    def _sample(self, session: Any, result: Any) -> tuple[int, float]:
+        """Add samples until there are enough, the time is up or the user cancels; return samples and seconds."""
+        sampling = self.settings.sampling
+        total, limit = sampling.samples, sampling.time_limit
+        start = shown = time.perf_counter()
+        done, count, elapsed = 0, 1, 0.0
+
+        def should_stop() -> bool:
+            return bool(self.engine.test_break()) or (0.0 < limit <= time.perf_counter() - start and done > 0)
+
+        while done < total and not should_stop():
+            step_start, before = time.perf_counter(), done
+            done = session.step(min(count, total - done), should_stop)
+            now = time.perf_counter()
+            elapsed = now - start
+            count = next_count(count, done - before, now - step_start)
+            fraction = done / total if limit <= 0.0 else max(done / total, min(elapsed / limit, 1.0))
+            remaining = None if fraction <= 0.0 else elapsed * (1.0 / fraction - 1.0)
+            self.progress.samples(done, total, elapsed, remaining, session.stats.device_bytes, fraction)
+            if not bpy.app.background and done < total and now - shown >= RESULT_SECONDS:
+                self._write(result, {"Combined": session.read("Combined")})
+                self.engine.update_result(result)
+                shown = time.perf_counter()
+        return done, elapsed
+
+    def _write(self, result: Any, pixels: dict[str, np.ndarray]) -> None:
+        for render_pass in result.layers[0].passes:
+            if render_pass.name in pixels:
+                passes.write_pass(render_pass, pixels[render_pass.name])
+
+
+def next_count(count: int, added: int, seconds: float) -> int:
+    """Return how many samples the next step takes, so that it lasts about STEP_SECONDS."""
+    if added <= 0 or seconds <= 0.0:
+        return count
+    return max(1, min(STEP_SAMPLES_MAX, 2 * count, int(STEP_SECONDS * added / seconds)))
+
+
+def view_names(render_settings: Any) -> tuple[str, ...]:
+    """Return the names of the views to render; one empty name without multiview."""
+    if not render_settings.use_multiview:
+        return ("",)
+    views = [view.name for view in render_settings.views if view.use]
+    if render_settings.views_format == 'STEREO_3D':
+        views = [name for name in views if name in {"left", "right"}]
+    if not views:
+        raise InvalidScene("Stereoscopy is on, but no view is enabled; enable one in Output Properties > Stereoscopy")
+    return tuple(views)
+
+
+def crop_rectangle(render_settings: Any, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """Return the render border in pixels (x, y, width, height) from the bottom left, or None without one.
+
+    Truncates as Blender does for its result (render_init_from_main in Blender's pipeline.cc), or sizes would differ.
+    """
+    if not render_settings.use_border:
+        return None
+    left, right = int(render_settings.border_min_x * width), int(render_settings.border_max_x * width)
+    bottom, top = int(render_settings.border_min_y * height), int(render_settings.border_max_y * height)
+    if right <= left or top <= bottom:
+        raise InvalidScene("The render border is empty; draw it again or turn it off in Output Properties > Format")
+    return left, bottom, right - left, top - bottom
+
+
+def view_camera(engine: Any, depsgraph: Any, width: int, height: int, *, stereo: bool) -> CameraData:
+    """Return the camera of the engine's active view, with its stereo offset."""
+    camera_object = engine.camera_override or depsgraph.scene.camera
+    if camera_object is None:
+        raise InvalidScene("The scene has no camera; add one and make it active in Scene Properties")
+    camera_object = camera_object.evaluated_get(depsgraph)
+    camera = camera_from_scene(depsgraph.scene_eval, camera_object, width, height)
+    return stereo_camera(engine, camera_object, camera) if stereo else camera
+
+
+def stereo_camera(engine: Any, camera_object: Any, camera: CameraData) -> CameraData:
+    """Move a camera to its eye: Blender gives the eye's matrix and lens shift, in units of the fitted sensor side."""
+    # A flat list of 16 floats, column after column.
+    columns = np.array(engine.camera_model_matrix(camera_object), np.float64).reshape(4, 4)
+    matrix = columns.T if abs(columns[3, 3] - 1.0) < 1e-6 and np.allclose(columns[:3, 3], 0.0) else columns
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
+    eye = np.eye(4)
+    eye[:3, :3], eye[:3, 3] = axes, matrix[:3, 3]
+    left, right, bottom, top = camera.window
+    fit = camera_object.data.sensor_fit
+    wide = fit == 'HORIZONTAL' or (fit == 'AUTO' and right - left >= top - bottom)
+    side = (right - left) if wide else (top - bottom)
+    shift = (engine.camera_shift_x(camera_object) - camera_object.data.shift_x) * side
+    return dataclasses.replace(camera, transform=tuple(float(v) for v in eye.ravel()),
+                               window=(left + shift, right + shift, bottom, top))

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Application handlers: stop workers before a file is loaded and at exit; drop what undo may have replaced.
+
+None of them does anything while no viewport renders with the engine, and there is no depsgraph handler.
+"""
+
+from __future__ import annotations
+
+import atexit
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from . import compat, report, viewport
+
+__all__ = ["register", "unregister"]
+
+
+@persistent
+def before_load(*_: Any) -> None:
+    """Stop everything: the data that viewports refer to is about to go."""
+    viewport.stop_all()
+    report.clear()
+
+
+@persistent
+def after_undo(*_: Any) -> None:
+    """Make viewports read the whole scene again: undo replaces data-blocks."""
+    viewport.forget_scenes()
+
+
+@persistent
+def before_exit(*_: Any) -> None:
+    """Stop the worker threads while the interpreter still lives."""
+    viewport.stop_all()
+
+
+def _handlers() -> list[tuple[list[Any], Any]]:
+    handlers = bpy.app.handlers
+    pairs = [(handlers.load_pre, before_load), (handlers.undo_post, after_undo), (handlers.redo_post, after_undo)]
+    exit_list = compat.exit_handlers()
+    if exit_list is not None:
+        pairs.append((exit_list, before_exit))
+    return pairs
+
+
+def register() -> None:
+    """Add the handlers."""
+    for handlers, function in _handlers():
+        if function not in handlers:
+            handlers.append(function)
+    atexit.register(at_interpreter_exit)
+
+
+def at_interpreter_exit() -> None:
+    """Stop the threads where bpy is a module: there Blender's exit comes after Python's modules are taken apart."""
+    viewport.stop_all()
+    unregister()
+
+
+def unregister() -> None:
+    """Remove the handlers."""
+    for handlers, function in _handlers():
+        if function in handlers:
+            handlers.remove(function)
+    atexit.unregister(at_interpreter_exit)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of render passes: one line each; drives their registration with Blender and the writing of pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import compat
+
+__all__ = ["AOVS", "Aov", "enabled_aovs", "register_passes", "write_pass"]
+
+
+@dataclass(frozen=True)
+class Aov:
+    """One pass: its name in Blender, the engine's name for it, its channels and the switch that asks for it."""
+
+    name: str
+    source: str
+    """What Session.configure and Session.read call it."""
+    channels: str
+    kind: str
+    """Blender's pass type: COLOR, VECTOR or VALUE."""
+    switch: str
+    """The property of a view layer that turns it on."""
+
+
+AOVS = (
+    Aov("Combined", "Combined", "RGBA", 'COLOR', "use_pass_combined"),
+    Aov("Depth", "Depth", "Z", 'VALUE', "use_pass_z"),
+    Aov("Position", "Position", "XYZ", 'VECTOR', "use_pass_position"),
+    Aov("Normal", "Normal", "XYZ", 'VECTOR', "use_pass_normal"),
+    Aov("UV", "UV", "UVA", 'VECTOR', "use_pass_uv"),
+    Aov(compat.pass_name("Object Index"), "IndexOB", "X", 'VALUE', "use_pass_object_index"),
+    Aov(compat.pass_name("Material Index"), "IndexMA", "X", 'VALUE', "use_pass_material_index"),
+    Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
+    Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
+)
+
+
+def enabled_aovs(view_layer: Any) -> Iterator[Aov]:
+    """Yield the passes that a view layer asks for; Combined always, since Blender adds it anyway."""
+    for aov in AOVS:
+        if aov.name == "Combined" or getattr(view_layer, aov.switch, False):
+            yield aov
+
+
+def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
+    """Tell Blender which passes a render of `view_layer` will have."""
+    for aov in enabled_aovs(view_layer):
+        engine.register_pass(scene, view_layer, aov.name, len(aov.channels), aov.channels, aov.kind)
+
+
+def write_pass(render_pass: Any, pixels: np.ndarray) -> None:
+    """Copy float32 [h, w, c], bottom row first, into a Blender RenderPass of the same channels.
+
+    Only a flat, contiguous float32 buffer takes foreach_set's fast path: 17 ms for 1080p RGBA, assignment takes 5 s.
+    """
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    assert channels == render_pass.channels, (render_pass.name, pixels.shape, render_pass.channels)
+    render_pass.rect.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The worker thread of one viewport: owns an engine Session and turns what is posted into pictures.
+
+Knows nothing of bpy and never sees the RenderEngine: the main thread posts scene changes and views and takes the
+newest picture. It renders coarsely first and refines, and sleeps without any timer once it has nothing to do.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..engine.errors import BurnishError
+from ..engine.report import Report
+from ..engine.scene import CameraData, SceneDelta
+from ..engine.settings import Change, RenderSettings, change_since
+from .builds import build_kernels, open_session
+from .picture import Picture, make_picture
+from .resolution import ResolutionControl, divided_size
+
+__all__ = ["ViewRequest", "ViewportWorker", "WorkerStatus"]
+
+log = logging.getLogger(__name__)
+
+STEP_SECONDS = 0.1
+"""Aimed-at length of one Session.step once the picture has its full resolution."""
+PUBLISH_SECONDS = 0.1
+"""Shortest time between two pictures of the same view."""
+PUBLISH_SHARE = 0.1
+"""Largest share of the time that goes into reading and packing pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewRequest:
+    """What a viewport wants to see; equal requests keep the samples."""
+
+    settings: RenderSettings
+    camera: CameraData
+    width: int
+    """Region's size [px]"""
+    height: int
+    crop: tuple[int, int, int, int] | None = None
+    """x, y, width, height [px] of the part to render, from the bottom left; None for all"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerStatus:
+    """What the viewport shows about its worker; replaced as a whole, never changed."""
+
+    serial: int = 0
+    """Rises whenever anything below changes."""
+    text: str = ""
+    progress: float = 0.0
+    busy: bool = False
+    """False when converged, idle, failed or stopped."""
+    error: str = ""
+    stats: Any = None
+    """SessionStats, once there are some"""
+    report: Report = field(default_factory=Report)
+
+
+class ViewportWorker:
+    """One thread and one Session. All public methods are for the main thread and return at once."""
+
+    def __init__(self, session_factory: Callable[[RenderSettings], Any] = open_session,
+                 build: Callable[..., None] = build_kernels) -> None:
+        self._session_factory = session_factory
+        self._build = build
+        self._wakeup = threading.Condition()
+        self._deltas: list[SceneDelta] = []
+        self._request: ViewRequest | None = None
+        self._pending = False
+        self._stopping = False
+        self._picture: Picture | None = None
+        self._status = WorkerStatus()
+        # Below: touched by the thread only.
+        self._session: Any = None
+        self._control: ResolutionControl | None = None
+        self._levels: tuple[int, ...] = (1,)
+        self._level = 0
+        self._picture_serial = 0
+        self._published_at = 0.0
+        self._publish_cost = 0.0
+        self._has_scene = False
+        self._planned: ViewRequest | None = None
+        self._thread = threading.Thread(target=self._run, name="burnish viewport", daemon=True)
+
+    # Main thread -----------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def post_scene(self, delta: SceneDelta) -> None:
+        """Hand over a scene change; changes are applied in the order in which they come."""
+        with self._wakeup:
+            self._deltas.append(delta)
+            self._wake()
+
+    def post_view(self, request: ViewRequest) -> bool:
+        """Ask for a view; return whether it differs from the one asked for last."""
+        with self._wakeup:
+            if request == self._request:
+                return False
+            self._request = request
+            self._wake()
+            return True
+
+    @property
+    def picture(self) -> Picture | None:
+        """The newest picture, or None before the first."""
+        return self._picture
+
+    @property
+    def status(self) -> WorkerStatus:
+        """The newest status."""
+        return self._status
+
+    @property
+    def failed(self) -> bool:
+        """Whether the thread ended with an error; only a new worker with the full scene goes on."""
+        return bool(self._status.error)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread still runs."""
+        return self._thread.is_alive()
+
+    def stop(self) -> None:
+        """Ask the thread to end and to free its device memory; does not wait."""
+        with self._wakeup:
+            self._stopping = True
+            self._wakeup.notify()
+
+    def join(self, timeout: float) -> bool:
+        """Wait up to `timeout` seconds for the end; return whether it has come."""
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _wake(self) -> None:
+        self._pending = True
+        if not self._status.error:
+            self._set_status(busy=True)
+        self._wakeup.notify()
+
+    # Worker thread ---------------------------------------------------------------------------------------------------
+
+    def _set_status(self, **changes: Any) -> None:
+        # With the lock held by either thread, or by the worker alone after it stopped listening: last write wins.
+        current = self._status
+        values = {name: getattr(current, name) for name in ("text", "progress", "busy", "error", "stats", "report")}
+        self._status = WorkerStatus(serial=current.serial + 1, **(values | changes))
+
+    def _publish_status(self, **changes: Any) -> None:
+        with self._wakeup:
+            self._set_status(**changes)
+
+    def _run(self) -> None:
+        try:
+            while self._wait():
+                self._serve()
+        except BurnishError as error:
+            self._fail(str(error))
+        except Exception as error:
+            log.exception("The viewport's worker failed")
+            self._fail(f"Unexpected {type(error).__name__} while rendering: {error}")
+        finally:
+            self._close()
+
+    def _fail(self, sentence: str) -> None:
+        self._publish_status(error=sentence, text=sentence, busy=False)
+
+    def _close(self) -> None:
+        session, self._session = self._session, None
+        try:
+            if session is not None:
+                session.close()
+        except Exception:
+            log.exception("Closing the viewport's session failed")
+        self._publish_status(busy=False)
+
+    def _wait(self) -> bool:
+        """Sleep until there is something to do; return False when it is time to end."""
+        with self._wakeup:
+            while not self._stopping and not self._pending and not self._unfinished():
+                if self._status.busy:
+                    self._set_status(busy=False)
+                self._wakeup.wait()
+            return not self._stopping
+
+    def _unfinished(self) -> bool:
+        if self._session is None or self._request is None or not self._has_scene:
+            return False
+        if self._level < len(self._levels) - 1:
+            return True
+        limit = self._request.settings.sampling.viewport_samples
+        return limit == 0 or self._session.samples_done < limit
+
+    def _serve(self) -> None:
+        with self._wakeup:
+            request, deltas, pending = self._request, self._deltas, self._pending
+            if request is None:
+                # The session needs settings: keep the scene until the first view is asked for.
+                self._pending = False
+                return
+            self._deltas, self._pending = [], False
+        if self._session is None:
+            self._open(request.settings)
+        for delta in deltas:
+            self._publish_status(text="Updating the scene", busy=True)
+            self._session.update(delta, self._show_progress)
+            self._has_scene = True
+        if not self._has_scene or self._stopping:
+            return
+        if deltas or (pending and restarts(request, self._planned)):
+            self._plan_levels(request)
+        self._planned = request
+        self._render(request)
+
+    def _open(self, settings: RenderSettings) -> None:
+        self._build(settings.device, self._show_progress, should_stop=lambda: self._stopping)
+        self._session = self._session_factory(settings)
+        on_processor = str(getattr(self._session, "device_name", "cpu")).lower().startswith("cpu")
+        self._control = ResolutionControl(first_divider=16 if on_processor else 4)
+
+    def _show_progress(self, text: str, progress: float) -> None:
+        self._publish_status(text=text, progress=progress, busy=True)
+
+    def _plan_levels(self, request: ViewRequest) -> None:
+        performance = request.settings.performance
+        self._levels = self._control.levels(self._pixels(request, 1), performance.frame_time,
+                                            performance.viewport_pixel_size)
+        self._level = 0
+
+    @staticmethod
+    def _pixels(request: ViewRequest, divider: int) -> int:
+        if request.crop is not None:
+            _, _, width, height = divided_crop(request.crop, divider)
+            return width * height
+        return divided_size(request.width, divider) * divided_size(request.height, divider)
+
+    def _interrupted(self) -> bool:
+        return self._stopping or self._pending
+
+    def _render(self, request: ViewRequest) -> None:
+        """Render one step of the current level and publish what there is."""
+        divider = self._levels[self._level]
+        last_level = self._level == len(self._levels) - 1
+        session = self._session
+        crop = None if request.crop is None else divided_crop(request.crop, divider)
+        session.configure(request.settings, request.camera, divided_size(request.width, divider),
+                          divided_size(request.height, divider), crop)
+        before = session.samples_done
+        pixels = self._pixels(request, divider)
+        count = self._control.samples_within(pixels, STEP_SECONDS) if last_level and before else 1
+        limit = request.settings.sampling.viewport_samples
+        if limit > 0:
+            count = min(count, max(1, limit - before))
+        # The first, coarse picture of a view is never given up for a newer view: else nothing would ever be seen
+        # while the mouse moves.
+        first = self._level == 0 and before == 0
+        start = time.perf_counter()
+        done = session.step(count, (lambda: self._stopping) if first else self._interrupted)
+        self._control.record(pixels, done - before, time.perf_counter() - start)
+        if done <= before:
+            return
+        finished = last_level and limit > 0 and done >= limit
+        if not last_level:
+            self._level += 1
+        if not last_level or done <= 2 or finished or self._publishing_pays():
+            self._publish(request, divider, done)
+        self._publish_status(text=f"Sample {done}/{limit}" if limit > 0 else f"Sample {done}", progress=0.0,
+                             stats=session.stats, report=copy_report(session.report))
+
+    def _publishing_pays(self) -> bool:
+        elapsed = time.perf_counter() - self._published_at
+        return elapsed >= max(PUBLISH_SECONDS, self._publish_cost / PUBLISH_SHARE)
+
+    def _publish(self, request: ViewRequest, divider: int, samples: int) -> None:
+        start = time.perf_counter()
+        self._picture_serial += 1
+        # The scene may show through where the film is transparent: those pictures carry their alpha.
+        self._picture = make_picture(
+            self._picture_serial, self._session.read("Combined"), picture_area(request, divider), samples=samples,
+            divider=divider, transparent=request.settings.film.transparent)
+        self._published_at = time.perf_counter()
+        self._publish_cost = self._published_at - start
+
+
+def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:
+    """Tell whether the samples gathered for `old` are worthless for `new` (more samples of the same view are not)."""
+    if old is None or change_since(new.settings, old.settings) != Change.NONE:
+        return True
+    return (new.camera, new.width, new.height, new.crop) != (old.camera, old.width, old.height, old.crop)
+
+
+def divided_crop(crop: tuple[int, int, int, int], divider: int) -> tuple[int, int, int, int]:
+    """Return the rendered pixels that cover a crop rectangle of screen pixels (x, y, width, height)."""
+    x, y, width, height = crop
+    left, bottom = x // divider, y // divider
+    return left, bottom, divided_size(x + width, divider) - left, divided_size(y + height, divider) - bottom
+
+
+def picture_area(request: ViewRequest, divider: int) -> tuple[float, float, float, float]:
+    """Return where a picture lies in the region, as fractions: left, bottom, right, top."""
+    if request.crop is None:
+        return 0.0, 0.0, 1.0, 1.0
+    x, y, width, height = divided_crop(request.crop, divider)
+    columns, rows = divided_size(request.width, divider), divided_size(request.height, divider)
+    return x / columns, y / rows, (x + width) / columns, (y + height) / rows
+
+
+def copy_report(report: Report) -> Report:
+    """Return a copy that the main thread may read while the session goes on."""
+    return Report(dict(report.counts))

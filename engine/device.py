@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The compute device: choosing one, launching on it, its memory. The only place that starts Warp.
+
+On CUDA a kernel is one launch. On the CPU a Warp launch uses one core, so kernels that write only their own
+elements run as bands of elements on a thread pool (`run_bands`); a kernel with an atomic must be one launch, since
+Warp's CPU atomics are not atomic (a test lints both).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import warp as wp
+
+from .errors import BurnishError, DeviceUnavailable, OutOfDeviceMemory
+from .settings import Device
+
+__all__ = ["DeviceInfo", "choose_device", "device_errors", "device_info", "run_bands", "start_warp", "thread_count"]
+
+_start_lock = threading.Lock()
+_started = False
+_pool: ThreadPoolExecutor | None = None
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What is known about a device, for panels and reports."""
+
+    alias: str
+    """Warp's name: `cpu` or `cuda:0`"""
+    name: str
+    cuda: bool
+    total_memory: int
+    """Bytes; 0 where unknown"""
+    free_memory: int
+    warp_version: str
+    driver: str
+
+
+@contextlib.contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Hide what native code writes to file descriptor 2 (Warp's note that there is no CUDA driver)."""
+    try:
+        saved = os.dup(2)
+    except OSError:
+        yield
+        return
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(sink)
+        os.close(saved)
+
+
+def start_warp() -> None:
+    """Initialise Warp once, quietly.
+
+    Raises:
+        DeviceUnavailable: Warp's native library can't be loaded.
+    """
+    global _started
+    with _start_lock:
+        if _started:
+            return
+        wp.config.log_level = wp.LOG_ERROR
+        try:
+            with _quiet_stderr():
+                wp.init()
+        except Exception as error:
+            raise DeviceUnavailable(f"NVIDIA Warp could not be started ({error}); reinstall the extension.") from error
+        _started = True
+
+
+def choose_device(device: Device | str) -> str:
+    """Return Warp's alias of the device that a setting asks for.
+
+    Raises:
+        DeviceUnavailable: CUDA is asked for and there is none.
+    """
+    start_warp()
+    device = Device(device)
+    if device == Device.CPU:
+        return "cpu"
+    if wp.is_cuda_available():
+        return wp.get_preferred_device().alias if device == Device.AUTO else "cuda:0"
+    if device == Device.CUDA:
+        raise DeviceUnavailable("No CUDA device was found; install NVIDIA's driver or choose the device 'cpu'.")
+    return "cpu"
+
+
+def device_info(alias: str) -> DeviceInfo:
+    """Return what is known about a device."""
+    start_warp()
+    device = wp.get_device(alias)
+    version = wp.context.runtime.driver_version if device.is_cuda else None
+    return DeviceInfo(
+        alias=alias,
+        name=device.name,
+        cuda=device.is_cuda,
+        total_memory=int(device.total_memory) if device.is_cuda else 0,
+        free_memory=int(device.free_memory) if device.is_cuda else 0,
+        warp_version=wp.config.version,
+        driver="" if version is None else str(version),
+    )
+
+
+@contextlib.contextmanager
+def device_errors(what: str) -> Iterator[None]:
+    """Turn Warp's allocation and launch failures into sentences about `what`."""
+    try:
+        yield
+    except BurnishError:
+        raise
+    except (MemoryError, RuntimeError) as error:
+        text = str(error).lower()
+        if isinstance(error, MemoryError) or "alloc" in text or "out of memory" in text:
+            raise OutOfDeviceMemory(
+                f"The device has not enough memory for {what}; lower the resolution or the texture budget.") from error
+        raise
+
+
+def thread_count() -> int:
+    """Return how many threads render on the CPU."""
+    return max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def run_bands(jobs: Iterable[Callable[[], None]]) -> None:
+    """Run jobs that touch disjoint elements on all cores and wait; the first failure is raised.
+
+    Warp's launches release the interpreter lock, so Python threads scale.
+    """
+    global _pool
+    jobs = list(jobs)
+    if thread_count() == 1 or len(jobs) == 1:
+        for job in jobs:
+            job()
+        return
+    with _start_lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(thread_count(), thread_name_prefix="burnish")
+    futures = [_pool.submit(job) for job in jobs]
+    done, pending = wait(futures, return_when=FIRST_EXCEPTION)
+    for future in pending:
+        future.cancel()
+    wait(futures)
+    for future in done:
+        future.result()

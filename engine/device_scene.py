@@ -1,0 +1,383 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene on the device: applies SceneDeltas, keeps every part that did not change, hands out one kernel struct."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import warp as wp
+
+from ..kernels import types
+from .alias_table import build_alias_table
+from .device import device_errors
+from .emitters import EmitterTable, find_emitters
+from .environment import build_environment, no_environment
+from .geometry_store import GeometryStore
+from .lamps import lamp_array, lamp_power
+from .materials import MaterialTable, default_material
+from .report import Report, ReportKind
+from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
+from .settings import PerformanceSettings
+from .structures import InstancePlan, Structures
+from .tables import albedo_tables
+from .textures import TextureStore
+
+__all__ = ["DeviceScene"]
+
+Progress = Callable[[str, float], None]
+
+# Kinds of rays whose visibility a triangle structure must answer.
+RAY_KINDS = int(
+    Visibility.CAMERA | Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION | Visibility.SHADOW)
+
+# Share of the meshes' buffers that may lie idle before everything is built anew.
+WASTE_LIMIT = 0.5
+
+
+class DeviceScene:
+    """Everything a ray can meet, on one device."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.report = Report()
+        self.times: dict[str, float] = {}
+        self.store = GeometryStore(device)
+        self.structures = Structures(device)
+        self.textures = TextureStore(device)
+        self.material_table: MaterialTable | None = None
+        self.materials: dict[Key, MaterialData] = {}
+        self.table: InstanceTable | None = None
+        self.plan: InstancePlan | None = None
+        self.rows: np.ndarray = np.zeros(0, types.Instance.numpy_dtype())
+        self.instances = wp.zeros(1, dtype=types.Instance, device=device)
+        self.instance_materials = wp.zeros(1, dtype=int, device=device)
+        self.lights: list[LightData] = []
+        self.lamps = np.zeros(0, types.Light.numpy_dtype())
+        self.world: WorldData | None = None
+        self.origin = np.zeros(3)
+        self.radius = 1.0
+        self.extent = 1.0
+        self.luminance = (0.2126729, 0.7151522, 0.0721750)
+        self.emitters = EmitterTable.empty(device)
+        self.environment = no_environment(device)
+        self.environment_power = 0.0
+        self.environment_built = False
+        self.light_struct = self._no_lights()
+        self.scene = types.Scene()
+        self.tables = albedo_tables(device)
+        self.names: tuple[int, int] = (0, 0)
+
+    def apply(self, delta: SceneDelta, settings: PerformanceSettings, progress: Progress | None = None) -> None:
+        """Bring the device up to date with a delta.
+
+        Raises:
+            OutOfDeviceMemory: It does not fit; the scene before stays as it was as far as memory allows.
+        """
+        tell = progress or (lambda what, share: None)
+        self.times = {}
+        with device_errors("the scene"):
+            self._apply(delta, settings, tell)
+
+    def _apply(self, delta: SceneDelta, settings: PerformanceSettings, tell: Progress) -> None:
+        if delta.full:
+            self._forget()
+        self.luminance = delta.luminance_weights
+        rebuild = delta.full or self.plan is None
+        tell("Textures", 0.0)
+        with self._timed("textures"):
+            if delta.images or delta.full:
+                self.textures.update(delta.images, settings, self.report)
+        tell("Geometry", 0.2)
+        changed_meshes = set(delta.meshes)
+        with self._timed("upload"):
+            for key, mesh in delta.meshes.items():
+                rebuild = rebuild or key not in self.store.ranges
+                self.store.put(key, mesh)
+        if delta.world is not None:
+            self.world = delta.world
+        materials_changed = self._update_materials(delta)
+        moved = np.zeros(0, np.int64)
+        if delta.instances is not None:
+            rebuild, moved = self._compare_instances(delta.instances, rebuild)
+            self.table = delta.instances
+        self.table = self.table or InstanceTable.empty()
+        filters_changed = self._plan_instances()
+        rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
+        geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
+        tell("Structures", 0.5)
+        with self._timed("structures"):
+            if rebuild:
+                self._drop_unused_meshes()
+                self.structures.build(self.plan, self.store, self.instances, settings.instancing_threshold)
+            elif geometry_changed:
+                edited = np.flatnonzero(np.isin(self.plan.mesh_index, [
+                    i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
+                self.structures.leave_flat(np.union1d(moved, edited).astype(np.int64))
+                self.structures.update_instances(self.plan, self.store, changed_meshes)
+            if geometry_changed:
+                self._upload_instances()
+        tell("Lights", 0.9)
+        with self._timed("lights"):
+            if delta.lights is not None:
+                self.lights = delta.lights
+            self._assemble()
+            if geometry_changed or materials_changed or delta.images:
+                self.emitters = find_emitters(self.scene, self.plan, self.table, self.store, self._material_ids(),
+                                              self.materials, self.device)
+                self._assemble()
+            if delta.world is not None or delta.images or not self.environment_built:
+                build_environment(self.scene, self.world, self.device, self._assemble_with)
+                self.environment_built = True
+            self._choose_lights()
+        tell("Ready", 1.0)
+
+    def _forget(self) -> None:
+        self.store.clear()
+        self.structures.clear()
+        self.textures.clear()
+        self.materials = {}
+        self.table = self.plan = None
+        self.lights = []
+        self.report = Report()
+
+    class _Timer:
+        def __init__(self, times: dict[str, float], name: str):
+            self.times, self.name = times, name
+
+        def __enter__(self) -> None:
+            self.start = time.perf_counter()
+
+        def __exit__(self, *_: object) -> None:
+            self.times[self.name] = self.times.get(self.name, 0.0) + time.perf_counter() - self.start
+
+    def _timed(self, name: str) -> DeviceScene._Timer:
+        return self._Timer(self.times, name)
+
+    # -- materials ----------------------------------------------------------------------------------------------
+
+    def _update_materials(self, delta: SceneDelta) -> bool:
+        """Rebuild the programs where materials, the world or the names that they use changed."""
+        self.materials.update(delta.materials)
+        self.materials.setdefault(None, default_material())
+        names = (len(self.store.uv_names), len(self.store.attribute_names))
+        changed = bool(delta.materials) or delta.full or self.material_table is None or names != self.names
+        changed = changed or delta.world is not None or bool(delta.images)
+        if changed:
+            self.names = names
+            self.material_table = MaterialTable(
+                self.materials, self.world.program if self.world is not None else None, device=self.device,
+                image_index=self.textures.index, uv_id=self.store.uv_id, attribute_id=self.store.attribute_id,
+                report=self.report)
+        return changed
+
+    def _material_ids(self) -> dict[Key, int]:
+        return self.material_table.index
+
+    # -- instances ----------------------------------------------------------------------------------------------
+
+    def _compare_instances(self, table: InstanceTable, rebuild: bool) -> tuple[bool, np.ndarray]:
+        """Return whether everything must be rebuilt, and which instances moved."""
+        old = self.table
+        if rebuild or old is None or table.object_keys != old.object_keys:
+            return True, np.zeros(0, np.int64)
+        same_meshes = [table.mesh_keys[i] for i in table.mesh_index] == [old.mesh_keys[i] for i in old.mesh_index]
+        if not same_meshes:
+            return True, np.zeros(0, np.int64)
+        moved = (table.transforms != old.transforms).any((1, 2))
+        return False, np.flatnonzero(moved)
+
+    def _plan_instances(self) -> bool:
+        """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
+        table = self.table
+        ranges = [self.store.ranges[key] for key in table.mesh_keys]
+        drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[table.mesh_index] if ranges else np.zeros(0, bool)
+        low = np.array([r.low for r in ranges]).reshape(-1, 3)[table.mesh_index]
+        high = np.array([r.high for r in ranges]).reshape(-1, 3)[table.mesh_index]
+        center, half = 0.5 * (low + high), 0.5 * (high - low)
+        linear = table.transforms[:, :3, :3]
+        world_center = np.einsum("nij,nj->ni", linear, center) + table.transforms[:, :3, 3]
+        world_half = np.einsum("nij,nj->ni", np.abs(linear), half)
+        drawn &= np.isfinite(world_center).all(1) & np.isfinite(world_half).all(1)
+        if self.plan is None:
+            self._choose_origin(world_center[drawn], world_half[drawn])
+        low, high = world_center - world_half - self.origin, world_center + world_half - self.origin
+        if drawn.any():
+            self.radius = float(max(0.5 * np.linalg.norm(high[drawn].max(0) - low[drawn].min(0)), 1e-6))
+            self.extent = float(np.abs([low[drawn], high[drawn]]).max())
+        old = self.plan
+        groups, group_index = self._filtered_groups(table)
+        self.plan = InstancePlan(
+            mesh_keys=table.mesh_keys, mesh_index=np.where(drawn, table.mesh_index, -1), filtered_slots=groups,
+            group_index=group_index, low=low, high=high)
+        self._fill_rows(table, ranges)
+        if old is None or len(old.group_index) != len(group_index):
+            return True
+        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
+
+    def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
+        """Move far-away scenes to the origin: float32 keeps what matters near it."""
+        self.origin = np.zeros(3)
+        if len(center) == 0:
+            return
+        low, high = (center - half).min(0), (center + half).max(0)
+        middle, extent = 0.5 * (low + high), np.linalg.norm(high - low)
+        if np.abs(middle).max() > 16.0 * extent:
+            self.origin = np.round(middle)
+
+    def _filtered_groups(self, table: InstanceTable) -> tuple[list[tuple[bool, ...]], np.ndarray]:
+        """Return the distinct tuples of filtered slots, and which each instance has."""
+        transparent = [
+            tuple(self.materials.get(key, self.materials[None]).has_transparency for key in keys)
+            for keys in table.material_sets]
+        partial = (table.visibility & RAY_KINDS) != RAY_KINDS
+        combined = table.material_set_index * 2 + partial
+        values, group_index = np.unique(combined, return_inverse=True)
+        groups = []
+        for value in values.tolist():
+            slots = transparent[value // 2]
+            groups.append(tuple(True for _ in slots) if value % 2 else slots)
+        return groups, group_index.astype(np.int64)
+
+    def _fill_rows(self, table: InstanceTable, ranges: list) -> None:
+        count = len(table.mesh_index)
+        rows = np.zeros(count, types.Instance.numpy_dtype())
+        matrices = table.transforms.copy()
+        matrices[:, :3, 3] -= self.origin
+        matrices[~np.isfinite(matrices).all((1, 2))] = np.eye(4)
+        determinant = np.linalg.det(matrices[:, :3, :3])
+        safe = matrices.copy()
+        safe[determinant == 0] = np.eye(4)
+        rows["to_world"] = matrices
+        rows["to_object"] = np.linalg.inv(safe)
+        rows["flipped"] = determinant < 0
+        pick = table.mesh_index
+        rows["mesh"] = np.array([r.row for r in ranges], np.int32)[pick] if ranges else 0
+        rows["triangle_offset"] = np.array([r.triangle_start for r in ranges], np.int32)[pick] if ranges else 0
+        if ranges:
+            rows["generated_location"] = np.array([r.generated[0] for r in ranges], np.float32)[pick]
+            rows["generated_size"] = np.array([r.generated[1] for r in ranges], np.float32)[pick]
+        lengths = np.array([len(keys) for keys in table.material_sets], np.int32)
+        offsets = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
+        rows["material_offset"] = offsets[table.material_set_index]
+        rows["material_count"] = lengths[table.material_set_index]
+        rows["visibility"] = table.visibility
+        rows["object_id"] = table.object_name_index
+        rows["pass_index"] = table.pass_index
+        rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)
+        rows["color"] = table.color
+        self.rows = rows
+        ids = self._material_ids()
+        default = ids[None]
+        flat = [ids.get(key, default) for keys in table.material_sets for key in keys]
+        self.instance_materials = wp.array(np.array(flat or [default], np.int32), dtype=int, device=self.device)
+        self.instances = wp.array(rows, dtype=types.Instance, device=self.device) if count else wp.zeros(
+            1, dtype=types.Instance, device=self.device)
+
+    def _upload_instances(self) -> None:
+        self.structures.fill(self.rows, self.plan)
+        if len(self.rows):
+            self.instances = wp.array(self.rows, dtype=types.Instance, device=self.device)
+
+    def _drop_unused_meshes(self) -> None:
+        for key in set(self.store.ranges) - set(self.plan.mesh_keys):
+            self.store.drop(key)
+
+    # -- lights and the struct ----------------------------------------------------------------------------------
+
+    def _choose_lights(self) -> None:
+        """Build the table by which one light is chosen: classes by the root of their power, lights by power."""
+        self.lamps = lamp_array(self.lights, self.origin, self.report)
+        powers = [lamp_power(self.lamps, self.radius), self.emitters.power]
+        has_world = self.environment_power > 0 and self.world is not None and self.world.sampling
+        powers.append(np.array([self.environment_power * np.pi * self.radius**2]) if has_world else np.zeros(0))
+        totals = np.array([p.sum() for p in powers])
+        share = np.sqrt(totals) / max(np.sqrt(totals).sum(), 1e-30)
+        weights = np.concatenate([p * (s / t) if t > 0 else p for p, s, t in zip(powers, share, totals, strict=True)])
+        probability, alias = build_alias_table(weights)
+        lights = types.Lights()
+        device = self.device
+        lights.lamps = wp.array(self.lamps, dtype=types.Light, device=device) if len(self.lamps) else wp.zeros(
+            1, dtype=types.Light, device=device)
+        lights.triangles = self.emitters.faces
+        lights.emitter_offset = self.emitters.offset
+        lights.emitter_index = self.emitters.index
+        total = weights.sum()
+        count = len(weights) if total > 0 else 0
+        pad = np.zeros(1)
+        lights.probability = wp.array(probability if count else pad.astype(np.float32), dtype=float, device=device)
+        lights.alias = wp.array(alias if count else pad.astype(np.int32), dtype=int, device=device)
+        lights.weight = wp.array((weights / total if count else pad).astype(np.float32), dtype=float, device=device)
+        lights.lamp_count = len(self.lamps)
+        lights.entry_count = count
+        lights.environment_entry = count - 1 if has_world and count else -1
+        self.light_struct = lights
+        self._assemble()
+
+    def _assemble_with(self, environment: types.Environment, power: float) -> types.Scene:
+        self.environment = environment
+        self.environment_power = power
+        return self._assemble()
+
+    def _assemble(self) -> types.Scene:
+        geometry = types.Geometry()
+        structures, store = self.structures, self.store
+        geometry.static_bvh = structures.opaque.id if structures.opaque is not None else 0
+        geometry.static_filtered_bvh = structures.filtered.id if structures.filtered is not None else 0
+        geometry.static_faces = structures.opaque_faces
+        geometry.static_filtered_faces = structures.filtered_faces
+        geometry.instance_bvh = structures.bvh.id if structures.bvh is not None else 0
+        geometry.bvh_instances = structures.bvh_instances
+        geometry.mesh_faces = structures.mesh_faces
+        geometry.instances = self.instances
+        geometry.triangles = store.triangles.array
+        geometry.slots = store.slots.array
+        geometry.positions = store.positions.array
+        geometry.normals = store.normals.array
+        geometry.uvs = store.uvs.array
+        geometry.attributes = store.attributes.array
+        geometry.uv_offsets, geometry.attribute_offsets = store.tables()
+        geometry.epsilon = self.extent * 2.0**-23
+        scene = types.Scene()
+        scene.geometry = geometry
+        materials = self.material_table.struct()
+        materials.instance_materials = self.instance_materials
+        scene.materials = materials
+        scene.textures = self.textures.struct()
+        scene.tables = self.tables
+        scene.environment = self.environment
+        scene.lights = self.light_struct
+        scene.radius = self.radius
+        scene.luminance = wp.vec3(*self.luminance)
+        self.scene = scene
+        return scene
+
+    def _no_lights(self) -> types.Lights:
+        lights = types.Lights()
+        device = self.device
+        lights.lamps = wp.zeros(1, dtype=types.Light, device=device)
+        lights.triangles = wp.zeros(1, dtype=wp.vec2i, device=device)
+        for name in ("emitter_offset", "emitter_index", "alias"):
+            setattr(lights, name, wp.zeros(1, dtype=int, device=device))
+        for name in ("probability", "weight"):
+            setattr(lights, name, wp.zeros(1, dtype=float, device=device))
+        lights.lamp_count = lights.entry_count = 0
+        lights.environment_entry = -1
+        return lights
+
+    @property
+    def needs_programs(self) -> bool:
+        """Return whether shadow rays may have to evaluate programs."""
+        return self.structures.has_filtered or self.emitters.textured or self.scene.environment.constant == 0
+
+    def triangle_count(self) -> int:
+        """Return the triangles of all instances together."""
+        if self.plan is None or not self.plan.mesh_keys:
+            return 0
+        counts = np.array([self.store.ranges[key].triangle_count for key in self.plan.mesh_keys])
+        return int(counts[self.plan.mesh_index[self.plan.mesh_index >= 0]].sum())
+
+    def add_notes(self) -> None:
+        """Tell in the report how the scene is held."""
+        self.report.add(ReportKind.INFO, "", f"structure: {self.structures.description}")

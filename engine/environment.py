@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The world's sampling table, baked from its program by a kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import warp as wp
+
+from ..kernels import types
+from ..kernels.environment import bake_environment
+from .alias_table import build_alias_table
+from .device import run_bands
+from .scene import WorldData
+
+__all__ = ["build_environment", "no_environment"]
+
+# Share of directions drawn uniformly: texels that the table thinks black may not be quite.
+UNIFORM_SHARE = 0.05
+
+
+def no_environment(device: str, world: WorldData | None = None) -> types.Environment:
+    """Return the struct of a world without a table; None is black."""
+    environment = types.Environment()
+    environment.probability = wp.zeros(1, dtype=float, device=device)
+    environment.alias = wp.zeros(1, dtype=int, device=device)
+    environment.weight = wp.zeros(1, dtype=float, device=device)
+    constant = (0.0, 0.0, 0.0) if world is None else world.constant
+    environment.constant = 0 if constant is None else 1
+    environment.radiance = wp.vec3(*(constant or (0.0, 0.0, 0.0)))
+    environment.visibility = 31 if world is None else world.visibility
+    return environment
+
+
+def build_environment(
+    scene: types.Scene, world: WorldData | None, device: str,
+    assemble: Callable[[types.Environment, float], types.Scene],
+) -> None:
+    """Bake the table of a world that varies; a constant world needs none.
+
+    Args:
+        scene: The scene so far.
+        world: None is black.
+        device: Where to bake.
+        assemble: Takes the struct and the world's radiance integrated over the sphere into the scene.
+    """
+    environment = no_environment(device, world)
+    if environment.constant == 1:
+        assemble(environment, float(np.mean(environment.radiance)) * 4.0 * np.pi)
+        return
+    scene = assemble(environment, 0.0)
+    width = max(int(world.importance_resolution), 4)
+    height = max(width // 2, 2)
+    importance = wp.zeros(width * height, dtype=float, device=device)
+    if wp.get_device(device).is_cuda:
+        wp.launch(bake_environment, width * height, [scene, width, height, 0], [importance], device=device)
+    else:
+        wp.load_module(bake_environment.module.name, device=device)
+        rows = np.linspace(0, height, 17).astype(int)
+
+        def bake(low: int, high: int) -> Callable[[], None]:
+            return lambda: wp.launch(
+                bake_environment, (high - low) * width, [scene, width, height, low * width], [importance],
+                device=device)
+
+        run_bands(bake(low, high) for low, high in zip(rows[:-1], rows[1:], strict=True) if high > low)
+    values = importance.numpy().astype(np.float64)
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    integral = values.sum() * (2.0 * np.pi / width) * (np.pi / height)
+    uniform = np.repeat(np.sin(theta), width)
+    total = values.sum()
+    weights = UNIFORM_SHARE * uniform / uniform.sum()
+    weights += (1.0 - UNIFORM_SHARE) * (values / total if total > 0 else uniform / uniform.sum())
+    weights /= weights.sum()
+    probability, alias = build_alias_table(weights)
+    environment.width, environment.height = width, height
+    environment.probability = wp.array(probability, dtype=float, device=device)
+    environment.alias = wp.array(alias, dtype=int, device=device)
+    environment.weight = wp.array(weights.astype(np.float32), dtype=float, device=device)
+    assemble(environment, float(integral))

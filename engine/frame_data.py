@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The camera and the frame as the row of numbers that kernels read."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels.types import FrameData
+from .errors import InvalidScene
+from .scene import CameraData, CameraKind
+
+__all__ = ["frame_row"]
+
+
+def frame_row(
+    camera: CameraData, width: int, height: int, crop: tuple[int, int, int, int], seed: int, origin: np.ndarray,
+) -> np.ndarray:
+    """Return one kernels.types.FrameData as a structured array of length 1.
+
+    Args:
+        camera: In world space.
+        width: Of the full frame [px].
+        height: Of the full frame [px].
+        crop: x, y, width, height of the rendered region, bottom-left origin.
+        seed: Of the random numbers.
+        origin: float64 [3], the scene's origin, subtracted from the camera's position.
+
+    Raises:
+        InvalidScene: The camera's transform is not finite.
+    """
+    row = np.zeros(1, FrameData.numpy_dtype())
+    matrix = np.asarray(camera.transform, np.float64).reshape(4, 4).copy()
+    if not np.isfinite(matrix).all() or not np.isfinite(camera.window).all():
+        raise InvalidScene("The camera's transform or lens is not finite; reset its location, rotation and lens.")
+    matrix[:3, 3] -= origin
+    left, right, bottom, top = camera.window
+    row["camera_to_world"] = matrix
+    row["window"] = camera.window
+    orthographic = camera.kind == CameraKind.ORTHOGRAPHIC
+    row["orthographic"] = int(orthographic)
+    row["clip_start"] = max(camera.clip_start, 0.0)
+    row["clip_end"] = min(max(camera.clip_end, camera.clip_start), 1e17)
+    row["aperture_radius"] = max(camera.aperture_radius, 0.0)
+    row["focus_distance"] = max(camera.focus_distance, 1e-6)
+    row["aperture_blades"] = camera.aperture_blades
+    row["aperture_rotation"] = camera.aperture_rotation
+    row["aperture_ratio"] = max(camera.aperture_ratio, 1e-3)
+    row["width"], row["height"] = width, height
+    row["crop_x"], row["crop_y"], row["crop_width"], row["crop_height"] = crop
+    row["seed"] = seed
+    step = 0.5 * (abs(right - left) / width + abs(top - bottom) / height)
+    row["spread" if not orthographic else "pixel_size"] = step
+    return row

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All unique meshes' arrays on the device, one after another in growing buffers: an edit uploads its mesh alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from .scene import Key, MeshData
+
+__all__ = ["GeometryStore", "MeshRange"]
+
+SLACK = 1.25
+
+
+@dataclass
+class MeshRange:
+    """Where a mesh lies in the buffers, and what the host must remember of it."""
+
+    row: int
+    """Row of the UV and attribute tables"""
+    vertex_start: int
+    vertex_count: int
+    triangle_start: int
+    triangle_count: int
+    uv_start: int
+    uv_count: int
+    attribute_start: int
+    attribute_count: int
+    uv_names: tuple[str, ...]
+    attribute_names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    """float64 [3], bounds in object space"""
+    local_triangles: np.ndarray
+    """int32 [T, 3], vertex indices within the mesh"""
+    slots: np.ndarray
+    """int32 [T]"""
+    generated: tuple[np.ndarray, np.ndarray]
+
+
+class _Buffer:
+    """One device array with spare room at the end."""
+
+    def __init__(self, dtype: type, device: str):
+        self.dtype = dtype
+        self.device = device
+        self.array = wp.zeros(1, dtype=dtype, device=device)
+        self.used = 0
+
+    def reserve(self, count: int) -> int:
+        """Return the start of `count` new elements, growing the array where needed."""
+        start = self.used
+        self.used += count
+        if self.used > self.array.shape[0]:
+            grown = wp.zeros(int(self.used * SLACK) if start else max(self.used, 1), dtype=self.dtype,
+                             device=self.device)
+            if start:
+                wp.copy(grown, self.array, count=start)
+            self.array = grown
+        return start
+
+    def write(self, start: int, values: np.ndarray) -> None:
+        """Copy host values to [start, start + len)."""
+        if len(values):
+            source = wp.array(np.ascontiguousarray(values), dtype=self.dtype, device=self.device)
+            wp.copy(self.array, source, dest_offset=start, count=len(values))
+
+
+class GeometryStore:
+    """Buffers of positions, triangles, normals, UV maps and attributes."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all meshes."""
+        self.ranges: dict[Key, MeshRange] = {}
+        self.uv_names: list[str] = [""]
+        self.attribute_names: list[str] = []
+        self.positions = _Buffer(wp.vec3, self.device)
+        self.triangles = _Buffer(wp.vec3i, self.device)
+        self.slots = _Buffer(wp.int32, self.device)
+        self.normals = _Buffer(wp.vec3, self.device)
+        self.uvs = _Buffer(wp.vec2, self.device)
+        self.attributes = _Buffer(wp.vec4, self.device)
+        self.rows = 0
+        self._tables: tuple[wp.array, wp.array] | None = None
+
+    @property
+    def wasted(self) -> float:
+        """Return the share of triangles that no mesh uses any more."""
+        live = sum(r.triangle_count for r in self.ranges.values())
+        return 1.0 - live / max(self.triangles.used, 1)
+
+    def put(self, key: Key, mesh: MeshData) -> MeshRange:
+        """Upload a mesh, in place of the one sent before under the same key if it fits there."""
+        self._tables = None
+        old = self.ranges.get(key)
+        uv_count = 3 * len(mesh.triangles) * len(mesh.uv_maps)
+        attribute_count = 3 * len(mesh.triangles) * len(mesh.attributes)
+        fits = (
+            old is not None
+            and len(mesh.positions) <= old.vertex_count
+            and len(mesh.triangles) == old.triangle_count
+            and uv_count <= old.uv_count
+            and attribute_count <= old.attribute_count
+        )
+        if old is not None and fits:
+            starts = (old.vertex_start, old.triangle_start, old.uv_start, old.attribute_start)
+            row = old.row
+        else:
+            self.slots.reserve(len(mesh.triangles))
+            self.normals.reserve(3 * len(mesh.triangles))
+            starts = (
+                self.positions.reserve(len(mesh.positions)),
+                self.triangles.reserve(len(mesh.triangles)),
+                self.uvs.reserve(uv_count),
+                self.attributes.reserve(attribute_count),
+            )
+            row = old.row if old is not None else self.rows
+            self.rows = max(self.rows, row + 1)
+        self._write(mesh, *starts)
+        for name in mesh.uv_maps:
+            if name not in self.uv_names:
+                self.uv_names.append(name)
+        for name in mesh.attributes:
+            if name not in self.attribute_names:
+                self.attribute_names.append(name)
+        self.ranges[key] = self._range(mesh, row, starts, uv_count, attribute_count)
+        return self.ranges[key]
+
+    def _write(self, mesh: MeshData, vertex: int, triangle: int, uv: int, attribute: int) -> None:
+        self.positions.write(vertex, mesh.positions)
+        self.triangles.write(triangle, mesh.triangles + np.int32(vertex))
+        self.slots.write(triangle, mesh.material_slots)
+        self.normals.write(3 * triangle, mesh.corner_normals.reshape(-1, 3))
+        for i, values in enumerate(mesh.uv_maps.values()):
+            self.uvs.write(uv + i * 3 * len(mesh.triangles), values.reshape(-1, 2))
+        for i, values in enumerate(mesh.attributes.values()):
+            self.attributes.write(attribute + i * 3 * len(mesh.triangles), values.reshape(-1, 4))
+
+    @staticmethod
+    def _range(mesh: MeshData, row: int, starts: tuple, uv_count: int, attribute_count: int) -> MeshRange:
+        low = mesh.positions.min(0).astype(np.float64) if len(mesh.positions) else np.zeros(3)
+        high = mesh.positions.max(0).astype(np.float64) if len(mesh.positions) else np.zeros(3)
+        generated = mesh.generated or (low.astype(np.float32), np.maximum(high - low, 1e-12).astype(np.float32))
+        return MeshRange(
+            row=row, vertex_start=starts[0], vertex_count=len(mesh.positions), triangle_start=starts[1],
+            triangle_count=len(mesh.triangles), uv_start=starts[2], uv_count=uv_count, attribute_start=starts[3],
+            attribute_count=attribute_count, uv_names=tuple(mesh.uv_maps), attribute_names=tuple(mesh.attributes),
+            low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots, generated=generated)
+
+    def drop(self, key: Key) -> None:
+        """Forget a mesh; its room is won back at the next full build."""
+        self.ranges.pop(key, None)
+
+    def uv_id(self, name: str) -> int:
+        """Return the id of a UV map by name: 0 (the empty name) is each mesh's active render map; -1 unknown."""
+        return self.uv_names.index(name) if name in self.uv_names else -1
+
+    def attribute_id(self, name: str) -> int:
+        """Return the id of an attribute by name, -1 where no mesh has it."""
+        return self.attribute_names.index(name) if name in self.attribute_names else -1
+
+    def tables(self) -> tuple[wp.array, wp.array]:
+        """Return the offset tables of UV maps [row, uv id] and attributes [row, attribute id]."""
+        if self._tables is None:
+            uv = np.full((max(self.rows, 1), len(self.uv_names)), -1, np.int32)
+            attribute = np.full((max(self.rows, 1), max(len(self.attribute_names), 1)), -1, np.int32)
+            for r in self.ranges.values():
+                for i, name in enumerate(r.uv_names):
+                    uv[r.row, self.uv_names.index(name)] = r.uv_start + i * 3 * r.triangle_count
+                if r.uv_names:
+                    uv[r.row, 0] = r.uv_start
+                for i, name in enumerate(r.attribute_names):
+                    attribute[r.row, self.attribute_names.index(name)] = r.attribute_start + i * 3 * r.triangle_count
+            self._tables = (
+                wp.array(uv, dtype=wp.int32, device=self.device), wp.array(attribute, dtype=wp.int32, device=self.device))
+        return self._tables

@@ -1,0 +1,416 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Programs of the node machine and the builder that compiles node graphs into them.
+
+A Program is what kernels/nodes.py interprets, except that images, UV maps and attributes are still named; they are
+resolved by engine/materials.py. ProgramBuilder takes a graph one operation at a time, folds constants, shares equal
+expressions, leaves out what nothing uses, and allocates registers. Knows nothing of Blender.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import warp as wp
+
+from ..kernels import node_codes as codes
+from ..kernels import types as kernel_types
+from ..kernels.node_color import adjust_color, mix_color
+from ..kernels.node_math import math as node_math
+from ..kernels.node_vector import vector_math
+from .program_layout import Instruction, RegisterOverflow, Sink, Value, lay_out
+
+__all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "operation_names"]
+
+Vec4 = tuple[float, float, float, float]
+
+SHIFTED_INPUTS = {
+    codes.INPUT_UV, codes.INPUT_ATTRIBUTE, codes.INPUT_POSITION, codes.INPUT_GENERATED, codes.INPUT_OBJECT,
+    codes.INPUT_OBJECT_NORMAL, codes.INPUT_PARAMETRIC,
+}
+"""Inputs that change from point to point of a surface, as far as bump mapping is concerned"""
+
+ARGUMENTS = {
+    "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
+    "roughness": codes.ARG_ROUGHNESS, "ior": codes.ARG_IOR, "tangent": codes.ARG_TANGENT,
+    "anisotropic": codes.ARG_ANISOTROPIC, "anisotropic_rotation": codes.ARG_ANISOTROPIC_ROTATION,
+    "diffuse_roughness": codes.ARG_DIFFUSE_ROUGHNESS, "metallic": codes.ARG_METALLIC,
+    "specular_level": codes.ARG_SPECULAR_LEVEL, "specular_tint": codes.ARG_SPECULAR_TINT,
+    "transmission": codes.ARG_TRANSMISSION, "subsurface": codes.ARG_SUBSURFACE, "coat": codes.ARG_COAT,
+    "coat_roughness": codes.ARG_COAT_ROUGHNESS, "coat_ior": codes.ARG_COAT_IOR, "coat_tint": codes.ARG_COAT_TINT,
+    "coat_normal": codes.ARG_COAT_NORMAL, "sheen": codes.ARG_SHEEN, "sheen_roughness": codes.ARG_SHEEN_ROUGHNESS,
+    "sheen_tint": codes.ARG_SHEEN_TINT, "emission": codes.ARG_EMISSION, "thin_wall": codes.ARG_THIN_WALL,
+}
+"""Names of a closure's arguments and their slots"""
+
+SIMPLE_SLOTS = 9
+"""Slots that BSDFs other than the Principled one pass"""
+
+
+@functools.cache
+def operation_names(family: str) -> dict[str, int]:
+    """Return the operations of one family (`MATH`, `VECTOR`, `MIX`, ...) by name."""
+    prefix = family + "_"
+    return {name.removeprefix(prefix): value for name, value in vars(codes).items() if name.startswith(prefix)}
+
+
+def code(family: str, name: str) -> int:
+    """Return the code of an operation; KeyError names what is unknown."""
+    return operation_names(family)[name]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Compiled node graph: three instruction lists over shared tables; equal programs compare equal."""
+
+    surface: tuple[Instruction, ...] = ()
+    """Everything; each list ends without OP_END"""
+    transparency: tuple[Instruction, ...] = ()
+    emission: tuple[Instruction, ...] = ()
+    constants: tuple[Vec4, ...] = ()
+    ramps: tuple[bytes, ...] = ()
+    """Tables as float32 [RAMP_SIZE, 4]"""
+    images: tuple[Hashable, ...] = ()
+    """Image keys by the index that instructions carry"""
+    uv_maps: tuple[str, ...] = ()
+    """Names of UV maps alike; the empty name is the active render map"""
+    attributes: tuple[str, ...] = ()
+    """Names of attributes alike; the empty name is the active colour attribute"""
+    uses_camera: bool = False
+    """Depends on the camera's place (window or camera coordinates)"""
+
+
+class ProgramBuilder:
+    """Compiles one graph. Operations return values to be passed to further operations; sinks end the graph.
+
+    Numbers are accepted wherever values are. Scalars live in all three of xyz, so that they serve as vectors too.
+    """
+
+    def __init__(self) -> None:
+        """Start an empty program."""
+        self.values: list[Value] = []
+        self.known: dict[tuple, Value] = {}
+        self.sinks: list[Sink] = []
+        self.ramps: list[bytes] = []
+        self.images: list[Hashable] = []
+        self.uv_maps: list[str] = []
+        self.attributes: list[str] = []
+        self.rows: list[tuple[Vec4, Vec4, Vec4]] = []
+        self.uses_camera = False
+
+    # Values.
+
+    def constant(self, value: float | Sequence[float] | Value) -> Value:
+        """Return a constant: a number (in all of xyz), a vector of three, or four components; values pass through."""
+        if isinstance(value, Value):
+            return value
+        if isinstance(value, (int, float)):
+            value = (value, value, value)
+        components = tuple(float(x) if math.isfinite(x) else 0.0 for x in value)
+        constant = (components + (0.0,))[:4]
+        return self._intern(Value(len(self.values), -1, 0, (), (), constant))
+
+    def _intern(self, value: Value) -> Value:
+        """Return the value equal to `value` that exists already, else `value`, recorded."""
+        key = (value.op, value.sub, value.args, value.immediates, value.constant)
+        if key not in self.known:
+            self.known[key] = value
+            self.values.append(value)
+        return self.known[key]
+
+    def _add(self, op: int, sub: int, args: Sequence, immediates: tuple[int, ...] = ()) -> Value:
+        """Return the value of an operation, folded where all its operands are constant."""
+        operands = [self.constant(arg) for arg in args]
+        constants = [operand.constant for operand in operands]
+        if None not in constants:
+            folded = fold(op, sub, constants)
+            if folded is not None:
+                return self.constant(folded)
+        return self._intern(Value(len(self.values), op, sub, tuple(v.index for v in operands), immediates, None))
+
+    def math(self, name: str, a, b=0.0, c=0.0) -> Value:
+        """Return a scalar operation (names of Blender's Math node, CLAMP, MAP_*, UNEQUAL)."""
+        a, b, c = self.constant(a), self.constant(b), self.constant(c)
+        if name == "MULTIPLY" and 1.0 in (scalar(a), scalar(b)):
+            return b if scalar(a) == 1.0 else a
+        if name == "MULTIPLY" and 0.0 in (scalar(a), scalar(b)):
+            return self.constant(0.0)
+        if name == "ADD" and 0.0 in (scalar(a), scalar(b)):
+            return b if scalar(a) == 0.0 else a
+        return self._add(codes.OP_MATH, code("MATH", name), (a, b, c))
+
+    def vector(self, name: str, a, b=0.0, c=0.0) -> Value:
+        """Return a vector operation (names of Blender's Vector Math node and codes.VECTOR_*)."""
+        a, b, c = self.constant(a), self.constant(b), self.constant(c)
+        if name in ("MULTIPLY", "DIVIDE") and scalar(b) == 1.0:
+            return a
+        if name == "MULTIPLY" and scalar(a) == 1.0:
+            return b
+        if name in ("ADD", "SUBTRACT") and scalar(b) == 0.0:
+            return a
+        if name == "ADD" and scalar(a) == 0.0:
+            return b
+        return self._add(codes.OP_VECTOR, code("VECTOR", name), (a, b, c))
+
+    def combine(self, x, y, z) -> Value:
+        """Return the vector of three numbers."""
+        return self.vector("COMBINE", x, y, z)
+
+    def component(self, value, index: int) -> Value:
+        """Return component 0..3 (x, y, z, w) as a number."""
+        return self.vector("XYZW"[index], value)
+
+    def rgb(self, value) -> Value:
+        """Return xyz with w cleared: for colours (whose w is alpha) used as coordinates (whose w is a width)."""
+        value = self.constant(value)
+        carries_alpha = value.op == codes.OP_IMAGE or value.op == codes.OP_RAMP or (
+            value.op == codes.OP_INPUT and value.sub & 255 in (codes.INPUT_ATTRIBUTE, codes.INPUT_OBJECT_COLOR))
+        return self.vector("XYZ", value) if carries_alpha else value
+
+    def mix(self, name: str, factor, a, b) -> Value:
+        """Return b blended over a (names of Blender's blend types)."""
+        factor = self.constant(factor)
+        if scalar(factor) == 0.0 and name not in ("EXCLUSION", "SCREEN"):
+            return self.rgb(a)
+        if scalar(factor) == 1.0 and name == "MIX":
+            return self.rgb(b)
+        return self._add(codes.OP_MIX, code("MIX", name), (factor, a, b))
+
+    def color(self, name: str, a, b=0.0, c=0.0) -> Value:
+        """Return a colour operation (codes.COLOR_*)."""
+        return self._add(codes.OP_COLOR, code("COLOR", name), (a, b, c))
+
+    def luminance(self, color) -> Value:
+        """Return the luminance of a colour by the working space's weights."""
+        color = self.constant(color)
+        if color.constant is not None and color.constant[0] == color.constant[1] == color.constant[2]:
+            return self.constant(color.constant[0])
+        if color.op in (codes.OP_MATH, codes.OP_FRESNEL):
+            return color
+        return self.color("LUMINANCE", color)
+
+    def input(self, name: str, mask: int = 0) -> Value:
+        """Return an input without a name of its own (codes.INPUT_*); `mask` is for RAY_KIND."""
+        self.uses_camera |= name == "WINDOW"
+        return self._add(codes.OP_INPUT, code("INPUT", name), (0.0,), (mask, 0))
+
+    def uv(self, name: str) -> Value:
+        """Return the coordinate of a UV map; the empty name is the active render map."""
+        return self._add(codes.OP_INPUT, codes.INPUT_UV, (0.0,), (index_of(self.uv_maps, name), 0))
+
+    def attribute(self, name: str) -> Value:
+        """Return an attribute: colour or vector in xyz, alpha in w."""
+        return self._add(codes.OP_INPUT, codes.INPUT_ATTRIBUTE, (0.0,), (index_of(self.attributes, name), 0))
+
+    def uv_tangent(self, uv_map: str, tangent_attribute: str) -> Value:
+        """Return the world-space tangent along u of a UV map."""
+        immediates = (index_of(self.uv_maps, uv_map), index_of(self.attributes, tangent_attribute))
+        return self._add(codes.OP_INPUT, codes.INPUT_TANGENT_UV, (0.0,), immediates)
+
+    def camera_position(self) -> Value:
+        """Return the position in camera space, z forward."""
+        self.uses_camera = True
+        return self._add(
+            codes.OP_TRANSFORM, codes.TRANSFORM_POINT, (self.scene_position(),), (-1 - codes.CONSTANT_CAMERA,))
+
+    def scene_position(self) -> Value:
+        """Return the position relative to the scene's origin, which the camera's matrix expects."""
+        return self.input("SCENE_POSITION")
+
+    def image(self, key: Hashable, coordinate, *, projection: str = "FLAT", extension: int = 0,
+              interpolation: int = 0, associate: bool = False) -> Value:
+        """Return an image's colour in xyz and alpha in w.
+
+        Args:
+            key: Image key.
+            coordinate: UV, or a direction for the panoramic projections; its w is the filter width.
+            projection: FLAT, SPHERE, TUBE, EQUIRECTANGULAR or MIRROR_BALL.
+            extension: 0 repeat, 1 extend, 2 clip, 3 mirror.
+            interpolation: 0 linear, 1 closest, 2 cubic.
+            associate: Multiply the colour by alpha.
+        """
+        sub = code("PROJECTION", projection) | extension << 4 | interpolation << 6
+        sub |= codes.IMAGE_ASSOCIATE if associate else 0
+        return self._add(codes.OP_IMAGE, sub, (self.rgb(coordinate),), (index_of(self.images, key),))
+
+    def transform(self, rows: Sequence[Sequence[float]], value, *, direction: bool = False) -> Value:
+        """Return `value` transformed by an affine matrix given as three rows of four."""
+        block = tuple(tuple(float(x) for x in row) for row in rows[:3])
+        sub = codes.TRANSFORM_DIRECTION if direction else codes.TRANSFORM_POINT
+        return self._add(codes.OP_TRANSFORM, sub, (self.rgb(value),), (index_of(self.rows, block),))
+
+    def ramp(self, name: str, table: bytes, value) -> Value:
+        """Look `value` up in a table of float32 [RAMP_SIZE, 4] (codes.RAMP_*: LINEAR, CONSTANT, CURVES, ...)."""
+        assert len(table) == codes.RAMP_SIZE * 16, len(table)
+        return self._add(codes.OP_RAMP, code("RAMP", name), (value,), (index_of(self.ramps, table),))
+
+    def procedural(self, name: str, coordinate, b=0.0, c=0.0) -> Value:
+        """Return a texture without an image (codes.PROCEDURAL_*)."""
+        return self._add(codes.OP_PROCEDURAL, code("PROCEDURAL", name), (coordinate, b, c))
+
+    def fresnel(self, name: str, value, normal=0.0) -> Value:
+        """Return a weight by viewing angle (codes.FRESNEL_*); normal 0 is the shading normal."""
+        return self._add(codes.OP_FRESNEL, code("FRESNEL", name), (value, normal))
+
+    def space(self, name: str, value) -> Value:
+        """Return a vector moved between object and world space (codes.SPACE_*)."""
+        return self._add(codes.OP_SPACE, code("SPACE", name), (value,))
+
+    def normal_map(self, space: str, color, strength, *, uv_map: str = "", tangent_attribute: str = "",
+                   invert_green: bool = False, blender_axes: bool = False) -> Value:
+        """Return the world-space normal of a normal map's texel; space is TANGENT, OBJECT or WORLD."""
+        sub = code("NORMAL", space)
+        sub |= codes.NORMAL_INVERT_GREEN if invert_green else 0
+        sub |= codes.NORMAL_BLENDER_AXES if blender_axes else 0
+        names = 0
+        if space == "TANGENT":
+            names = index_of(self.uv_maps, uv_map) + 1 | index_of(self.attributes, tangent_attribute) + 1 << 16
+        return self._add(codes.OP_NORMAL_MAP, sub, (color, strength), (names,))
+
+    def bump(self, height, strength, distance, filter_width, normal=0.0) -> Value:
+        """Return the shading normal bent by the slope of `height` [m]; distance below 0 inverts it."""
+        height = self.constant(height)
+        if height.constant is not None:
+            return self.constant(normal)
+        heights = self.combine(
+            height, self.shifted(height, codes.INPUT_SHIFT_X, filter_width),
+            self.shifted(height, codes.INPUT_SHIFT_Y, filter_width))
+        return self._add(codes.OP_BUMP, 0, (heights, self.combine(strength, distance, filter_width), normal))
+
+    def shifted(self, value: Value, axis: int, filter_width) -> Value:
+        """Return `value` as it is `filter_width` footprints further along a bump axis (codes.INPUT_SHIFT_*)."""
+        moved: dict[int, Value] = {}
+        for index in ancestors(self.values, value):
+            old = self.values[index]
+            if old.constant is not None:
+                moved[index] = old
+            elif old.op == codes.OP_INPUT and old.sub in SHIFTED_INPUTS:
+                moved[index] = self._add(old.op, old.sub | axis, (filter_width,), old.immediates)
+            else:
+                moved[index] = self._add(old.op, old.sub, [moved[arg] for arg in old.args], old.immediates)
+        return moved[value.index]
+
+    # Sinks.
+
+    def _sink(self, op: int, sub: int, operands: Sequence, programs: str) -> None:
+        """Record a sink, unless a constant operand makes it contribute nothing."""
+        values = [self.constant(operand) for operand in operands]
+        if any(v.constant is not None and not any(v.constant[:3]) for v in values):
+            return
+        self.sinks.append(Sink(op, sub, tuple(v.index for v in values), programs))
+
+    def emit(self, color, strength, weight, *, layered: bool = False) -> None:
+        """Add emission of color * strength * weight; `layered` keeps it out of the surface program."""
+        self._sink(codes.OP_EMIT, 0, (color, strength, weight), "e" if layered else "se")
+
+    def transparent(self, color, weight) -> None:
+        """Let light through unrefracted."""
+        self._sink(codes.OP_TRANSPARENT, 0, (color, weight), "st")
+
+    def holdout(self, weight) -> None:
+        """Cut a hole into the picture's alpha."""
+        self._sink(codes.OP_HOLDOUT, 0, (weight,), "s")
+
+    def closure(self, kind: str, weight, *, multiscatter: bool = False, **arguments) -> None:
+        """Add a BSDF (names of kernels.types.CLOSURE_*) with its arguments by the names in ARGUMENTS."""
+        weight = self.constant(weight)
+        if scalar(weight) == 0.0:
+            return
+        slots: list[Value] = [self.constant(0.0)] * (codes.ARGUMENT_COUNT if kind == "PRINCIPLED" else SIMPLE_SLOTS)
+        for name, value in {"weight": weight, **arguments}.items():
+            slots[ARGUMENTS[name]] = self.constant(value)
+        sub = getattr(kernel_types, "CLOSURE_" + kind) | (codes.CLOSURE_MULTISCATTER if multiscatter else 0)
+        self.sinks.append(Sink(codes.OP_CLOSURE, sub, tuple(v.index for v in slots), "s"))
+
+    # Results.
+
+    def has_transparency(self) -> bool:
+        """Return whether any light may pass unrefracted."""
+        return any("t" in sink.programs for sink in self.sinks)
+
+    def has_emission(self) -> bool:
+        """Return whether any light is emitted."""
+        return any("e" in sink.programs for sink in self.sinks)
+
+    def constant_emission(self) -> tuple[float, float, float] | None:
+        """Return the sum of all emission where it is the same everywhere, else None."""
+        total = [0.0, 0.0, 0.0]
+        for sink in self.sinks:
+            if "e" not in sink.programs:
+                continue
+            color, strength, weight = (self.values[index].constant for index in sink.operands)
+            if color is None or strength is None or weight is None:
+                return None
+            total = [t + c * strength[0] * weight[0] for t, c in zip(total, color[:3], strict=True)]
+        return tuple(total)
+
+    def finish(self) -> Program:
+        """Return the program. Raises RegisterOverflow where the graph needs more registers than there are."""
+        constants: dict[Vec4, int] = {}
+        codes_by_program = {name: lay_out(self.values, self.sinks, name, constants) for name in "ste"}
+        first_row = len(constants)
+        relocated = {
+            name: tuple(move_rows(instruction, first_row) for instruction in instructions)
+            for name, instructions in codes_by_program.items()
+        }
+        rows = [row for block in self.rows for row in block]
+        return Program(
+            surface=relocated["s"], transparency=relocated["t"], emission=relocated["e"],
+            constants=tuple(constants) + tuple(rows), ramps=tuple(self.ramps), images=tuple(self.images),
+            uv_maps=tuple(self.uv_maps), attributes=tuple(self.attributes), uses_camera=self.uses_camera,
+        )
+
+
+def scalar(value: Value) -> float | None:
+    """Return the number a constant holds in all of xyz, None for anything else."""
+    c = value.constant
+    return c[0] if c is not None and c[0] == c[1] == c[2] else None
+
+
+def index_of(items: list, item) -> int:
+    """Return the index of `item` in `items`, appended where it is new."""
+    if item not in items:
+        items.append(item)
+    return items.index(item)
+
+
+def ancestors(values: list[Value], value: Value) -> list[int]:
+    """Return the indices of everything `value` depends on, itself included, operands first."""
+    needed = {value.index}
+    stack = [value.index]
+    while stack:
+        for arg in values[stack.pop()].args:
+            if arg not in needed:
+                needed.add(arg)
+                stack.append(arg)
+    # Operands are always older than what uses them.
+    return sorted(needed)
+
+
+def move_rows(instruction: Instruction, first_row: int) -> Instruction:
+    """Turn the block index of a transform into an index of the program's constants."""
+    head, y, z, w = instruction
+    if head & 255 == codes.OP_TRANSFORM and z >= 0:
+        return head, y, first_row + 3 * z, w
+    return instruction
+
+
+def fold(op: int, sub: int, operands: list[Vec4]) -> Vec4 | None:
+    """Return an operation's constant result by calling the kernel's own function, None where that can't be done."""
+    vectors = [wp.vec3(*operand[:3]) for operand in operands]
+    try:
+        if op == codes.OP_MATH:
+            x = node_math(sub, operands[0][0], operands[1][0], operands[2][0])
+            return x, x, x, 0.0
+        if op == codes.OP_VECTOR:
+            return tuple(vector_math(sub, *(wp.vec4(*operand) for operand in operands)))
+        if op == codes.OP_MIX:
+            return (*mix_color(sub, operands[0][0], vectors[1], vectors[2]), 0.0)
+        if op == codes.OP_COLOR and sub != codes.COLOR_LUMINANCE:
+            return (*adjust_color(sub, *vectors, wp.vec3(0.0)), 0.0)
+    except (RuntimeError, ArithmeticError, ValueError):
+        # Some of Warp's functions exist in kernels only; the operation then stays in the program.
+        return None
+    return None

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A Session: one scene on one device, seen by one camera, gathered on one film.
+
+update() takes what changed in the scene, configure() takes settings and camera, step() adds samples, read() gives
+pictures. Not thread-safe: one thread at a time. Knows nothing of Blender.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from ..kernels import film, reference
+from .device import choose_device, device_errors, device_info
+from .device_scene import DeviceScene
+from .errors import BurnishError, InvalidScene
+from .frame_data import frame_row
+from .passes.reference import FilmBuffers, ReferencePass
+from .pixel_filter import filter_table
+from .report import Report, ReportKind
+from .scene import CameraData, SceneDelta
+from .settings import Change, Integrator, RenderSettings, change_since
+from .warmup import warm_up
+
+__all__ = ["PASSES", "Session", "SessionStats"]
+
+PASSES = {
+    "Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
+    "Object Index": 1, "Material Index": 1,
+}
+"""Channels of each picture that read() gives."""
+
+BACKGROUND_DEPTH = 1e10
+"""Depth where there is no surface, as Cycles writes it."""
+
+MAX_PIXELS = 1 << 30
+
+
+@dataclass
+class SessionStats:
+    """Figures about the session, for panels and measurements."""
+
+    triangles: int = 0
+    instances: int = 0
+    lights: int = 0
+    texture_bytes: int = 0
+    device_bytes: int = 0
+    structure: str = ""
+    times: dict[str, float] = field(default_factory=dict)
+    """Seconds by stage of the last update (textures, upload, structures, lights) and of sampling and reading"""
+
+
+class Session:
+    """Renders a scene progressively."""
+
+    def __init__(self, settings: RenderSettings):
+        """Open the device.
+
+        Raises:
+            DeviceUnavailable: The device that the settings ask for does not exist.
+            KernelBuildFailed: The kernels can't be built.
+        """
+        self.settings = settings
+        self.device = choose_device(settings.device)
+        self.device_name = device_info(self.device).name
+        warm_up(self.device)
+        self.stats = SessionStats()
+        self._scene = DeviceScene(self.device)
+        self._pass = ReferencePass(self.device)
+        self._film: FilmBuffers | None = None
+        self._frame: np.ndarray | None = None
+        self._key: tuple = ()
+        self._camera: CameraData | None = None
+        self._overruns = Report()
+
+    @property
+    def report(self) -> Report:
+        """Return what the device scene approximated, skipped or missed."""
+        report = Report()
+        report.merge(self._scene.report)
+        report.merge(self._overruns)
+        return report
+
+    def update(self, delta: SceneDelta, progress: Callable[[str, float], None] | None = None) -> None:
+        """Take over what changed in the scene; the accumulated samples are forgotten.
+
+        Args:
+            delta: Changes since the last update.
+            progress: Called with a stage's name and the share done, 0..1.
+
+        Raises:
+            OutOfDeviceMemory: The scene does not fit.
+        """
+        self._scene.apply(delta, self.settings.performance, progress)
+        scene = self._scene
+        self.stats = SessionStats(
+            triangles=scene.triangle_count(), instances=len(scene.rows), lights=int(scene.light_struct.entry_count),
+            texture_bytes=int(scene.textures.bytes), structure=scene.structures.description,
+            times=dict(scene.times, **delta.extra.get("times", {})))
+        self.stats.device_bytes = self._memory()
+        self._set_frame()
+        self.reset()
+
+    def configure(
+        self, settings: RenderSettings, camera: CameraData, width: int, height: int,
+        crop: tuple[int, int, int, int] | None = None, passes: tuple[str, ...] = ("Combined",),
+    ) -> Change:
+        """Set what to render; anything that invalidates the samples forgets them.
+
+        Args:
+            settings: All settings; the device must be the session's.
+            camera: In world space.
+            width: Of the full frame [px].
+            height: Of the full frame [px].
+            crop: Region rendered, as x, y, width, height with a bottom-left origin; None is everything.
+            passes: Names from PASSES that will be read.
+
+        Raises:
+            InvalidScene: The size or region is impossible.
+            OutOfDeviceMemory: The film does not fit.
+        """
+        if settings.sampling.integrator != Integrator.REFERENCE:
+            raise BurnishError("The real-time integrator is not in this version; choose the integrator 'reference'.")
+        crop = crop or (0, 0, width, height)
+        if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
+            raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
+        change = change_since(settings, self.settings)
+        extra = any(name != "Combined" for name in passes)
+        key = (crop[2] * crop[3], extra)
+        if self._film is None or key != self._key:
+            change |= Change.RESIZE | Change.RESTART
+        if (camera, width, height, crop) != (self._camera, *getattr(self, "_size", (0, 0, None))):
+            change |= Change.RESTART
+        self.settings, self._camera, self._size = settings, camera, (width, height, crop)
+        self._set_frame()
+        if change & Change.RESIZE:
+            with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
+                self._film = None
+                self._film = FilmBuffers.make(key[0], extra, self.device)
+                self._pass.resize(key[0], extra)
+            self._key = key
+        if change & Change.RESTART:
+            self._filter = wp.array(
+                filter_table(settings.film.pixel_filter, settings.film.filter_width), dtype=float, device=self.device)
+            self.reset()
+        return change
+
+    def step(self, samples: int = 1, should_stop: Callable[[], bool] | None = None) -> int:
+        """Add up to `samples` samples per pixel and return how many there are in all.
+
+        Args:
+            samples: How many to add.
+            should_stop: Polled often; when it returns True the step ends within a tenth of a second, and what has
+                been accumulated stays valid.
+        """
+        assert self._film is not None and self._frame is not None, "configure() comes before step()"
+        start = time.perf_counter()
+        target = self._pass.samples_done + samples
+        with device_errors("the path states"):
+            self._pass.render(
+                self._scene.scene, self._frame, self._options(), self._filter, self._film, target,
+                should_stop or (lambda: False), self._scene.structures.has_filtered)
+        self.stats.times["sampling"] = self.stats.times.get("sampling", 0.0) + time.perf_counter() - start
+        return self._pass.samples_done
+
+    @property
+    def samples_done(self) -> int:
+        """Return how many samples every pixel has."""
+        return self._pass.samples_done
+
+    @property
+    def rays(self) -> int:
+        """Return the path segments traced since the last reset."""
+        return self._pass.rays
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        if self._film is not None:
+            self._film.clear()
+        self._pass.reset()
+        self.stats.times["sampling"] = 0.0
+
+    def close(self) -> None:
+        """Give the device's memory back."""
+        self._film = None
+        self._pass = ReferencePass(self.device)
+        self._scene = DeviceScene(self.device)
+
+    def read(self, name: str = "Combined") -> np.ndarray:
+        """Return a picture: float32 [h, w, channels], bottom row first, scene-linear, premultiplied.
+
+        Raises:
+            KeyError: No such pass, or configure() was not told that it would be read.
+        """
+        if name not in PASSES or (name != "Combined" and not self._film.passes):
+            raise KeyError(name)
+        start = time.perf_counter()
+        width, height = self._size[2][2], self._size[2][3]
+        picture = self._read_flat(name).reshape(height, width, PASSES[name])
+        self.stats.times["read"] = time.perf_counter() - start
+        return np.ascontiguousarray(picture, np.float32)
+
+    def _read_flat(self, name: str) -> np.ndarray:
+        buffers, count = self._film.film, max(self.samples_done, 1)
+        if name == "Combined":
+            transparent = int(self.settings.film.transparent)
+            counts = self._band_samples()
+            wp.launch(film.resolve_color, self._film.pixel_count, [buffers, counts, transparent], [self._film.picture],
+                      device=self.device)
+            self._count_rejected()
+            return self._film.picture.numpy()
+        counts = np.maximum(self._band_samples().numpy(), 1)[:, None]
+        uv = buffers.uv.numpy()
+        seen = uv[:, 2:3] / counts
+        if name == "Depth":
+            depth = buffers.depth.numpy()
+            return np.where(buffers.position.numpy().any(1) | (uv[:, 2] > 0), depth, BACKGROUND_DEPTH)[:, None]
+        if name == "Normal":
+            return buffers.normal.numpy()[:, :3] / counts
+        if name == "UV":
+            return np.concatenate([uv[:, :2] / counts, seen], 1)
+        if name == "Position":
+            position = buffers.position.numpy()[:, :3]
+            return np.where(uv[:, 2:3] > 0, position + self._scene.origin.astype(np.float32), 0.0)
+        if name in ("Emission", "Environment"):
+            return getattr(buffers, name.lower()).numpy() / counts
+        if name == "Object Index":
+            return buffers.position.numpy()[:, 3:4]
+        del count
+        return uv[:, 3:4]
+
+    def _band_samples(self) -> wp.array:
+        """Return the samples of each pixel: bands may differ by one after a cancel."""
+        counts = np.concatenate([np.full(band.count, band.samples, np.int32) for band in self._pass.bands])
+        return wp.array(counts, dtype=int, device=self.device)
+
+    def _count_rejected(self) -> None:
+        self._overruns = Report()
+        rejected = int(self._film.film.rejected.numpy().sum())
+        if rejected:
+            self._overruns.add(
+                ReportKind.ERROR, "", "samples that were not finite were left out of the picture", rejected)
+
+    def _set_frame(self) -> None:
+        if self._camera is not None:
+            width, height, crop = self._size
+            self._frame = frame_row(
+                self._camera, width, height, crop, self.settings.sampling.seed, self._scene.origin)
+
+    def _options(self) -> reference.Options:
+        paths, options = self.settings.light_paths, reference.Options()
+        options.max_bounces = paths.max_bounces
+        options.roulette_start = paths.roulette_start
+        options.clamp_direct = paths.clamp_direct
+        options.clamp_indirect = paths.clamp_indirect
+        options.transparent = int(self.settings.film.transparent)
+        options.exposure = self.settings.film.exposure
+        options.passes = int(self._film.passes)
+        options.programs = int(self._scene.needs_programs)
+        return options
+
+    def _memory(self) -> int:
+        device = wp.get_device(self.device)
+        return int(wp.get_mempool_used_mem_current(device)) if device.is_cuda and device.is_mempool_enabled else 0

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Acceleration structures: what is flattened into one wp.Mesh, what lies as instances under a wp.Bvh.
+
+Flattening gives the fastest rays and costs memory per instance; it is done while it multiplies the unique triangles
+by less than a setting. An instance that moves or deforms leaves the flattened structure (its vertices there are
+pulled together and the structure is refitted) and gets a wp.Mesh of its own, so that moving it again costs its own
+triangles only; it rejoins at the next full build. Triangles that need a test per hit lie in structures of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from ..kernels.flatten import collapse_vertices, flatten_vertices
+from .geometry_store import GeometryStore, MeshRange
+from .scene import Key
+
+__all__ = ["InstancePlan", "Structures"]
+
+# Below this many flattened triangles two levels are not worth their slower rays.
+ALWAYS_FLATTEN = 1 << 20
+
+
+@dataclass
+class InstancePlan:
+    """What the structures must know of all N instances."""
+
+    mesh_keys: list[Key]
+    """M distinct meshes"""
+    mesh_index: np.ndarray
+    """int [N], -1 for instances that are not drawn"""
+    filtered_slots: list[tuple[bool, ...]]
+    """Per instance group: which material slots need a test per hit"""
+    group_index: np.ndarray
+    """int [N], index into filtered_slots"""
+    low: np.ndarray
+    high: np.ndarray
+    """float64 [N, 3], bounds in world space"""
+
+
+@dataclass
+class _LocalMesh:
+    """Object-space structures of one mesh under one choice of filtered slots."""
+
+    opaque: wp.Mesh | None
+    filtered: wp.Mesh | None
+    opaque_faces: np.ndarray
+    filtered_faces: np.ndarray
+    """int32, triangles (global) per face"""
+    first_opaque: int = 0
+    first_filtered: int = 0
+
+
+@dataclass
+class _Flat:
+    """Where flattened instances lie in the world-space points."""
+
+    points: wp.array
+    vertex_start: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Instance -> (first vertex, count)"""
+
+
+class Structures:
+    """Builds and keeps the acceleration structures of one device."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop everything."""
+        self.opaque: wp.Mesh | None = None
+        self.filtered: wp.Mesh | None = None
+        self.opaque_faces = wp.zeros(1, dtype=wp.vec2i, device=self.device)
+        self.filtered_faces = wp.zeros(1, dtype=wp.vec2i, device=self.device)
+        self.bvh: wp.Bvh | None = None
+        self.bvh_instances = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.mesh_faces = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.local: dict[tuple, _LocalMesh] = {}
+        self.flat: _Flat | None = None
+        self.instanced = np.zeros(0, bool)
+        self.description = "empty"
+
+    def _static_builder(self) -> str:
+        return "cubql" if wp.get_device(self.device).is_cuda and wp.is_cubql_available() else "sah"
+
+    def build(self, plan: InstancePlan, store: GeometryStore, instances: wp.array, threshold: float) -> None:
+        """Build everything anew: choose which instances are flattened, then both levels.
+
+        Args:
+            plan: All instances.
+            store: The meshes.
+            instances: Device array of kernels.types.Instance (transforms).
+            threshold: PerformanceSettings.instancing_threshold.
+        """
+        self.local.clear()
+        ranges = [store.ranges[key] for key in plan.mesh_keys]
+        drawn = plan.mesh_index >= 0
+        counts = np.array([r.triangle_count for r in ranges], np.int64)
+        uses = np.bincount(plan.mesh_index[drawn], minlength=len(ranges))
+        unique = int(counts[uses > 0].sum())
+        flattened = int((counts * uses).sum())
+        two_levels = flattened > ALWAYS_FLATTEN and flattened > threshold * max(unique, 1)
+        self.instanced = drawn & (uses[plan.mesh_index] > 1) if two_levels else np.zeros(len(drawn), bool)
+        self._build_flat(plan, ranges, instances, store, np.flatnonzero(drawn & ~self.instanced))
+        self._build_instances(plan, store)
+        count = int(self.instanced.sum())
+        self.description = f"{flattened - int((counts * uses * 1)[uses > 1].sum()) if two_levels else flattened:,} flattened triangles"
+        if count:
+            self.description += f", {count:,} instances of {len(self.local):,} meshes in two levels"
+
+    def _build_flat(
+        self, plan: InstancePlan, ranges: list[MeshRange], instances: wp.array, store: GeometryStore, chosen: np.ndarray,
+    ) -> None:
+        self.opaque = self.filtered = self.flat = None
+        if len(chosen) == 0:
+            return
+        starts, vertex_instance, vertex_source = {}, [], []
+        opaque_index, opaque_face, filtered_index, filtered_face = [], [], [], []
+        vertex = 0
+        for i in chosen.tolist():
+            r = ranges[plan.mesh_index[i]]
+            if r.triangle_count == 0:
+                continue
+            starts[i] = (vertex, r.vertex_count)
+            vertex_instance.append(np.full(r.vertex_count, i, np.int32))
+            vertex_source.append(np.arange(r.vertex_start, r.vertex_start + r.vertex_count, dtype=np.int32))
+            is_filtered = _filtered_triangles(r, plan.filtered_slots[plan.group_index[i]])
+            triangle = np.arange(r.triangle_start, r.triangle_start + r.triangle_count, dtype=np.int32)
+            faces = np.stack([np.full(r.triangle_count, i, np.int32), triangle], 1)
+            indices = r.local_triangles + np.int32(vertex)
+            if is_filtered is None:
+                opaque_index.append(indices)
+                opaque_face.append(faces)
+            else:
+                opaque_index.append(indices[~is_filtered])
+                opaque_face.append(faces[~is_filtered])
+                filtered_index.append(indices[is_filtered])
+                filtered_face.append(faces[is_filtered])
+            vertex += r.vertex_count
+        if vertex == 0:
+            return
+        points = wp.zeros(vertex, dtype=wp.vec3, device=self.device)
+        wp.launch(flatten_vertices, vertex, [
+            instances, store.positions.array,
+            wp.array(np.concatenate(vertex_instance), dtype=int, device=self.device),
+            wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
+        self.flat = _Flat(points, starts)
+        self.opaque, self.opaque_faces = self._world_mesh(points, opaque_index, opaque_face)
+        self.filtered, self.filtered_faces = self._world_mesh(points, filtered_index, filtered_face)
+
+    def _world_mesh(self, points: wp.array, indices: list, faces: list) -> tuple[wp.Mesh | None, wp.array]:
+        total = sum(len(part) for part in indices)
+        if total == 0:
+            return None, wp.zeros(1, dtype=wp.vec2i, device=self.device)
+        flat_indices = wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device)
+        mesh = wp.Mesh(points, flat_indices, bvh_constructor=self._static_builder(), bvh_leaf_size=1)
+        return mesh, wp.array(np.concatenate(faces), dtype=wp.vec2i, device=self.device)
+
+    def _local_mesh(self, plan: InstancePlan, instance: int, store: GeometryStore, moving: bool) -> _LocalMesh:
+        key = plan.mesh_keys[plan.mesh_index[instance]]
+        slots = plan.filtered_slots[plan.group_index[instance]]
+        local = self.local.get((key, slots))
+        if local is None:
+            r = store.ranges[key]
+            is_filtered = _filtered_triangles(r, slots)
+            if is_filtered is None:
+                is_filtered = np.zeros(r.triangle_count, bool)
+            triangle = np.arange(r.triangle_start, r.triangle_start + r.triangle_count, dtype=np.int32)
+            points = wp.clone(store.positions.array[r.vertex_start:r.vertex_start + r.vertex_count])
+            builder = "lbvh" if moving and wp.get_device(self.device).is_cuda else self._static_builder()
+            local = _LocalMesh(
+                self._object_mesh(points, r.local_triangles[~is_filtered], builder),
+                self._object_mesh(points, r.local_triangles[is_filtered], builder),
+                triangle[~is_filtered], triangle[is_filtered])
+            self.local[(key, slots)] = local
+        return local
+
+    def _object_mesh(self, points: wp.array, triangles: np.ndarray, builder: str) -> wp.Mesh | None:
+        if len(triangles) == 0:
+            return None
+        indices = wp.array(np.ascontiguousarray(triangles).ravel(), dtype=int, device=self.device)
+        return wp.Mesh(points, indices, bvh_constructor=builder, bvh_leaf_size=1)
+
+    def _build_instances(self, plan: InstancePlan, store: GeometryStore, moving: bool = False) -> None:
+        """Build the object-space meshes that are missing and the structure over the instances."""
+        chosen = np.flatnonzero(self.instanced)
+        self.bvh = None
+        if len(chosen) == 0:
+            return
+        used = {}
+        for i in chosen.tolist():
+            key = (plan.mesh_keys[plan.mesh_index[i]], plan.filtered_slots[plan.group_index[i]])
+            if key not in used:
+                used[key] = self._local_mesh(plan, i, store, moving)
+        self.local = used
+        first = 0
+        for local in used.values():
+            local.first_opaque = first
+            local.first_filtered = first + len(local.opaque_faces)
+            first = local.first_filtered + len(local.filtered_faces)
+        faces = [part for local in used.values() for part in (local.opaque_faces, local.filtered_faces)]
+        self.mesh_faces = wp.array(np.concatenate(faces), dtype=int, device=self.device)
+        self.bvh_instances = wp.array(chosen.astype(np.int32), dtype=int, device=self.device)
+        # Bounds are rounded outwards: float32 of a float64 bound may lie inside it.
+        grow = 4e-7 * np.maximum(np.abs(plan.low[chosen]), np.abs(plan.high[chosen])) + 1e-30
+        low = wp.array((plan.low[chosen] - grow).astype(np.float32), dtype=wp.vec3, device=self.device)
+        high = wp.array((plan.high[chosen] + grow).astype(np.float32), dtype=wp.vec3, device=self.device)
+        self.bvh = wp.Bvh(low, high, constructor="sah" if len(chosen) < 4096 or self.device == "cpu" else "lbvh")
+
+    def leave_flat(self, moved: np.ndarray) -> None:
+        """Take instances out of the flattened structure (not yet into the other)."""
+        leaving = [i for i in moved.tolist() if self.flat is not None and i in self.flat.vertex_start]
+        for i in leaving:
+            start, count = self.flat.vertex_start.pop(i)
+            wp.launch(collapse_vertices, count, [start], [self.flat.points], device=self.device)
+        if leaving:
+            for mesh in (self.opaque, self.filtered):
+                if mesh is not None:
+                    mesh.refit()
+        self.instanced[moved] = True
+
+    def update_instances(self, plan: InstancePlan, store: GeometryStore, changed_meshes: set[Key]) -> None:
+        """Rebuild the upper level after instances moved or meshes changed."""
+        self.local = {key: local for key, local in self.local.items() if key[0] not in changed_meshes}
+        self._build_instances(plan, store, moving=True)
+        count = int(self.instanced.sum())
+        flat = 0 if self.flat is None else len(self.flat.vertex_start)
+        self.description = f"{flat:,} objects flattened, {count:,} moving or instanced in two levels"
+
+    def fill(self, rows: np.ndarray, plan: InstancePlan) -> None:
+        """Write the structures' ids into the structured array of instances."""
+        rows["opaque_bvh"] = 0
+        rows["filtered_bvh"] = 0
+        for i in np.flatnonzero(self.instanced).tolist():
+            local = self.local[(plan.mesh_keys[plan.mesh_index[i]], plan.filtered_slots[plan.group_index[i]])]
+            rows["opaque_bvh"][i] = local.opaque.id if local.opaque is not None else 0
+            rows["filtered_bvh"][i] = local.filtered.id if local.filtered is not None else 0
+            rows["opaque_faces"][i] = local.first_opaque
+            rows["filtered_faces"][i] = local.first_filtered
+
+    @property
+    def has_filtered(self) -> bool:
+        """Return whether any triangle needs a test per hit."""
+        return self.filtered is not None or any(local.filtered is not None for local in self.local.values())
+
+
+def _filtered_triangles(r: MeshRange, filtered_slots: tuple[bool, ...]) -> np.ndarray | None:
+    """Return which triangles of a mesh need a test per hit, None where none does."""
+    if not any(filtered_slots):
+        return None
+    return np.asarray(filtered_slots, bool)[np.minimum(r.slots, len(filtered_slots) - 1)]

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Warp kernels and the functions they share: everything that runs on the device. Imports only warp."""

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tables of directional albedos of GGX: the kernels that compute them and the functions that look them up.
+
+Axes, all linear between nodes and clamped: `roughness` (sqrt(alpha)) last, then the cosine of the view, then
+`z = sqrt(|ior - 1| / (ior + 1))`, which spans all indices and is finest from 1 to 2. Node counts and definitions are
+those of Cycles' precomputed tables (intern/cycles/app/cycles_precompute.cpp), because its materials include the
+error of interpolating between these very nodes: finer tables would differ from it.
+
+Every node is a mean over visible normals weighted G2/G1, which has little variance; half the azimuths suffice since
+the view lies in the xz plane.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .fresnel import f0_from_ior, fresnel_dielectric, ior_from_f0, schlick_weight
+from .geometry_math import safe_sqrt, sqr
+from .ggx import ggx_lambda, reflect_about, refract_about, sample_ggx_normal
+from .types import Tables
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+GGX_NODES = wp.constant(32)
+"""Per axis of ggx_e"""
+GLASS_NODES = wp.constant(16)
+"""Per axis of the other tables"""
+SMOOTH_ETA = wp.constant(1.0e-4)
+"""An index this close to 1 bends nothing: the transmission is a straight line (Cycles, bsdf_microfacet_sample)."""
+
+# Steps of the additive recurrence R2: the first two powers of the inverse plastic number, times 2**32.
+R2_X = wp.constant(wp.uint32(3242174889))
+R2_Y = wp.constant(wp.uint32(2447445414))
+HALF = wp.constant(wp.uint32(2147483648))
+
+
+@wp.func
+def node_roughness(i: int, count: int) -> float:
+    """Return the roughness of node i; never 0."""
+    return wp.clamp(float(i) / float(count - 1), 1.0e-4, 1.0)
+
+
+@wp.func
+def node_ior(i: int) -> float:
+    """Return the index (>= 1) of node i of the z axis."""
+    z = wp.clamp(float(i) / float(GLASS_NODES - 1), 1.0e-4, 0.99)
+    return ior_from_f0(sqr(sqr(z)))
+
+
+@wp.func
+def view_at(cos_o: float) -> wp.vec3:
+    """Return the view with that cosine, in the xz plane."""
+    return wp.vec3(safe_sqrt(1.0 - cos_o * cos_o), 0.0, cos_o)
+
+
+@wp.func
+def plane_point(i: int) -> wp.vec2:
+    """Return point i of the additive recurrence R2 (Roberts 2018) in [0, 1)^2, in exact fixed point."""
+    n = wp.uint32(i)
+    x = n * R2_X + HALF
+    y = n * R2_Y + HALF
+    return wp.vec2(float(x >> wp.uint32(8)), float(y >> wp.uint32(8))) * 5.9604645e-8
+
+
+@wp.func
+def stratified_cosine(i: int, samples: int) -> float:
+    """Return cosine i of `samples` with the density 2 cos: the square is uniform."""
+    return wp.sqrt((float(i) + 0.5) / float(samples))
+
+
+@wp.func
+def visible_normal(wo: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
+    """Return a visible normal of the half space y >= 0."""
+    return sample_ggx_normal(wo, alpha, alpha, wp.vec2(u[0], 0.5 * u[1]))
+
+
+@wp.func
+def kept(lambda_o: float, wi: wp.vec3, alpha: float) -> float:
+    """Return G2/G1: the share of a visible microfacet's light that is not shadowed."""
+    return (1.0 + lambda_o) / (1.0 + lambda_o + ggx_lambda(wi, alpha, alpha))
+
+
+@wp.func
+def reflection_sample(wo: wp.vec3, alpha: float, u: wp.vec2) -> float:
+    """Return one sample of the albedo of a mirror of microfacets."""
+    wi = reflect_about(wo, visible_normal(wo, alpha, u))
+    if wi[2] <= 0.0:
+        return 0.0
+    return kept(ggx_lambda(wo, alpha, alpha), wi, alpha)
+
+
+@wp.func
+def glass_sample(wo: wp.vec3, alpha: float, eta: float, u: wp.vec2) -> float:
+    """Return one sample of the albedo of a dielectric interface, reflected plus refracted."""
+    m = visible_normal(wo, alpha, u)
+    f = fresnel_dielectric(wp.dot(wo, m), eta)
+    lambda_o = ggx_lambda(wo, alpha, alpha)
+    total = float(0.0)
+    reflected = reflect_about(wo, m)
+    if reflected[2] > 0.0:
+        total += f[0] * kept(lambda_o, reflected, alpha)
+    refracted = refract_about(wo, m, eta)
+    if refracted[2] < 0.0:
+        total += (1.0 - f[0]) * wp.where(wp.abs(eta - 1.0) < SMOOTH_ETA, 1.0, kept(lambda_o, refracted, alpha))
+    return total
+
+
+@wp.kernel
+def integrate_ggx(
+    # In:
+    first: int, samples: int,
+    # Out:
+    e_out: wp.array2d[float],
+):
+    """Fill row first + i of ggx_e, [cosine, roughness]."""
+    i, j = wp.tid()
+    alpha = sqr(node_roughness(j, GGX_NODES))
+    wo = view_at(node_roughness(first + i, GGX_NODES))
+    total = float(0.0)
+    for k in range(samples):
+        total += reflection_sample(wo, alpha, plane_point(k))
+    e_out[first + i, j] = wp.clamp(total / float(samples), 0.0, 1.0)
+
+
+@wp.kernel
+def integrate_ggx_average(
+    # In:
+    samples: int,
+    # Out:
+    average_out: wp.array[float],
+):
+    """Fill ggx_e_avg, [roughness]: the cosine-weighted mean over all views."""
+    j = wp.tid()
+    alpha = sqr(node_roughness(j, GGX_NODES))
+    total = float(0.0)
+    for k in range(samples):
+        total += reflection_sample(view_at(stratified_cosine(k, samples)), alpha, plane_point(k))
+    average_out[j] = wp.clamp(total / float(samples), 0.0, 1.0)
+
+
+@wp.kernel
+def integrate_glass(
+    # In:
+    first: int, samples: int,
+    # Out:
+    glass_out: wp.array3d[float], glass_inv_out: wp.array3d[float], schlick_ior_out: wp.array3d[float],
+):
+    """Fill slab first + i of the three tables [ior, cosine, roughness]."""
+    i, j, k = wp.tid()
+    eta = node_ior(first + i)
+    wo = view_at(node_roughness(j, GLASS_NODES))
+    alpha = sqr(node_roughness(k, GLASS_NODES))
+    f0 = f0_from_ior(eta)
+    entering = float(0.0)
+    leaving = float(0.0)
+    weight = float(0.0)
+    for s in range(samples):
+        u = plane_point(s)
+        entering += glass_sample(wo, alpha, eta, u)
+        leaving += glass_sample(wo, alpha, 1.0 / eta, u)
+        m = visible_normal(wo, alpha, u)
+        if reflect_about(wo, m)[2] > 0.0:
+            weight += schlick_weight(fresnel_dielectric(wp.dot(wo, m), eta)[0], f0)
+    glass_out[first + i, j, k] = wp.clamp(entering / float(samples), 0.0, 1.0)
+    glass_inv_out[first + i, j, k] = wp.clamp(leaving / float(samples), 0.0, 1.0)
+    schlick_ior_out[first + i, j, k] = wp.clamp(weight / float(samples), 0.0, 1.0)
+
+
+@wp.kernel
+def integrate_glass_average(
+    # In:
+    samples: int,
+    # Out:
+    glass_out: wp.array2d[float], glass_inv_out: wp.array2d[float],
+):
+    """Fill glass_e_avg and glass_inv_e_avg, [ior, roughness]."""
+    i, k = wp.tid()
+    eta = node_ior(i)
+    alpha = sqr(node_roughness(k, GLASS_NODES))
+    entering = float(0.0)
+    leaving = float(0.0)
+    for s in range(samples):
+        u = plane_point(s)
+        wo = view_at(stratified_cosine(s, samples))
+        entering += glass_sample(wo, alpha, eta, u)
+        leaving += glass_sample(wo, alpha, 1.0 / eta, u)
+    glass_out[i, k] = wp.clamp(entering / float(samples), 0.0, 1.0)
+    glass_inv_out[i, k] = wp.clamp(leaving / float(samples), 0.0, 1.0)
+
+
+@wp.kernel
+def integrate_schlick(
+    # In:
+    samples: int,
+    # Out:
+    schlick_out: wp.array2d[float],
+):
+    """Fill schlick_s, [cosine, roughness]: the weight of F90 under Schlick's curve.
+
+    Cycles looks half way between the exponents 40/7 and 35/8 (nodes 7 and 8 of 15), so theirs is the mean taken.
+    """
+    j, k = wp.tid()
+    wo = view_at(node_roughness(j, GLASS_NODES))
+    alpha = sqr(node_roughness(k, GLASS_NODES))
+    total = float(0.0)
+    for s in range(samples):
+        m = visible_normal(wo, alpha, plane_point(s))
+        if reflect_about(wo, m)[2] > 0.0:
+            grazing = wp.max(1.0 - wp.dot(wo, m), 0.0)
+            total += 0.5 * (wp.pow(grazing, 40.0 / 7.0) + wp.pow(grazing, 35.0 / 8.0))
+    schlick_out[j, k] = wp.clamp(total / float(samples), 0.0, 1.0)
+
+
+@wp.func
+def cell_of(x: float, count: int) -> wp.vec2:
+    """Return (lower node, fraction to the next) for x in [0, 1]."""
+    scaled = wp.clamp(x, 0.0, 1.0) * float(count - 1)
+    low = wp.min(wp.floor(scaled), float(count - 2))
+    return wp.vec2(low, scaled - low)
+
+
+@wp.func
+def look_up_1d(table: wp.array[float], x: float, count: int) -> float:
+    """Interpolate table[x]."""
+    cx = cell_of(x, count)
+    i = int(cx[0])
+    return wp.lerp(table[i], table[i + 1], cx[1])
+
+
+@wp.func
+def look_up_2d(table: wp.array2d[float], y: float, x: float, count: int) -> float:
+    """Interpolate table[y, x]."""
+    cx = cell_of(x, count)
+    cy = cell_of(y, count)
+    i = int(cx[0])
+    j = int(cy[0])
+    low = wp.lerp(table[j, i], table[j, i + 1], cx[1])
+    high = wp.lerp(table[j + 1, i], table[j + 1, i + 1], cx[1])
+    return wp.lerp(low, high, cy[1])
+
+
+@wp.func
+def look_up_3d(table: wp.array3d[float], z: float, y: float, x: float) -> float:
+    """Interpolate table[z, y, x]."""
+    cz = cell_of(z, GLASS_NODES)
+    k = int(cz[0])
+    low = look_up_2d(table[k], y, x, GLASS_NODES)
+    return wp.lerp(low, look_up_2d(table[k + 1], y, x, GLASS_NODES), cz[1])
+
+
+@wp.func
+def ior_coordinate(ior: float) -> float:
+    """Return the z coordinate of an index and of its inverse."""
+    return wp.sqrt(wp.abs(ior - 1.0) / (ior + 1.0))
+
+
+@wp.func
+def ggx_albedo(tables: Tables, cos_o: float, roughness: float) -> wp.vec2:
+    """Return (albedo, its mean over all views) of a mirror of microfacets."""
+    return wp.vec2(
+        look_up_2d(tables.ggx_e, cos_o, roughness, GGX_NODES), look_up_1d(tables.ggx_e_avg, roughness, GGX_NODES)
+    )
+
+
+@wp.func
+def glass_albedo(tables: Tables, cos_o: float, roughness: float, eta: float) -> wp.vec2:
+    """Return (albedo, its mean over all views) of a dielectric interface."""
+    z = ior_coordinate(eta)
+    if eta < 1.0:
+        return wp.vec2(
+            look_up_3d(tables.glass_inv_e, z, cos_o, roughness),
+            look_up_2d(tables.glass_inv_e_avg, z, roughness, GLASS_NODES),
+        )
+    return wp.vec2(
+        look_up_3d(tables.glass_e, z, cos_o, roughness),
+        look_up_2d(tables.glass_e_avg, z, roughness, GLASS_NODES),
+    )
+
+
+@wp.func
+def dielectric_weight(tables: Tables, cos_o: float, roughness: float, eta: float) -> float:
+    """Return how far from F0 to F90 a rough dielectric reflects towards this view."""
+    return look_up_3d(tables.schlick_ior_s, ior_coordinate(eta), cos_o, roughness)
+
+
+@wp.func
+def metal_weight(tables: Tables, cos_o: float, roughness: float) -> float:
+    """Return how far from F0 to F90 a rough metal reflects towards this view."""
+    return look_up_2d(tables.schlick_s, cos_o, roughness, GLASS_NODES)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The world as a light: directions drawn from a table over an equirectangular grid, with their pdf.
+
+The radiance itself always comes from the world's program; the table only guides. Row 0 is the top (+z).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import PI, TWO_PI, max_component, safe_sqrt
+from .nodes import evaluate_world
+from .sampling import sample_alias
+from .types import Environment, Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def equirect_direction(x: float, y: float) -> wp.vec3:
+    """Return the unit direction at (x, y) in [0, 1]^2; y = 0 is +z, x = 0.5 is -x."""
+    phi = TWO_PI * x
+    theta = PI * y
+    s = wp.sin(theta)
+    return wp.vec3(s * wp.cos(phi), s * wp.sin(phi), wp.cos(theta))
+
+
+@wp.func
+def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
+    """Return the pdf [1/sr] with which sample_environment draws `direction`."""
+    if environment.width == 0:
+        return 1.0 / (4.0 * PI)
+    x = wp.atan2(direction[1], direction[0]) / TWO_PI
+    if x < 0.0:
+        x = x + 1.0
+    y = wp.acos(wp.clamp(direction[2], -1.0, 1.0)) / PI
+    i = wp.clamp(int(x * float(environment.width)), 0, environment.width - 1)
+    j = wp.clamp(int(y * float(environment.height)), 0, environment.height - 1)
+    texels = float(environment.width * environment.height)
+    sin_theta = wp.max(safe_sqrt(1.0 - direction[2] * direction[2]), 1.0e-6)
+    return environment.weight[j * environment.width + i] * texels / (TWO_PI * PI * sin_theta)
+
+
+@wp.func
+def sample_environment(environment: Environment, u: wp.vec2) -> wp.vec3:
+    """Draw a direction from the table (uniform over the sphere where there is none)."""
+    if environment.width == 0:
+        z = 1.0 - 2.0 * u[0]
+        r = safe_sqrt(1.0 - z * z)
+        return wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
+    count = environment.width * environment.height
+    texel = sample_alias(environment.probability, environment.alias, count, u[0])
+    # The fraction left over by the choice is uniform again and places the direction inside the texel.
+    scaled = u[0] * float(count)
+    remainder = scaled - wp.floor(scaled)
+    accepted = environment.probability[wp.min(int(scaled), count - 1)]
+    if remainder < accepted:
+        remainder = remainder / wp.max(accepted, 1.0e-20)
+    else:
+        remainder = (remainder - accepted) / wp.max(1.0 - accepted, 1.0e-20)
+    i = texel % environment.width
+    j = texel // environment.width
+    x = (float(i) + wp.min(remainder, 0.99999994)) / float(environment.width)
+    y = (float(j) + u[1]) / float(environment.height)
+    return equirect_direction(x, y)
+
+
+@wp.kernel
+def bake_environment(
+    # In:
+    scene: Scene,
+    width: int,
+    height: int,
+    first: int,
+    # Out:
+    importance_out: wp.array[float],
+):
+    """Fill the sampling table's texels with their largest radiance channel times solid angle.
+
+    Four points a texel, so that a sun between two centres is not missed.
+    """
+    texel = first + wp.tid()
+    i = texel % width
+    j = texel // width
+    footprint = PI / float(height)
+    total = float(0.0)
+    for k in range(4):
+        dx = 0.25 + 0.5 * float(k % 2)
+        dy = 0.25 + 0.5 * float(k // 2)
+        direction = equirect_direction((float(i) + dx) / float(width), (float(j) + dy) / float(height))
+        radiance = evaluate_world(scene, direction, 0, 1, 0.5 * footprint)
+        value = max_component(radiance)
+        if wp.isfinite(value) and value > 0.0:
+            total += value
+    theta = PI * (float(j) + 0.5) / float(height)
+    importance_out[texel] = 0.25 * total * wp.sin(theta)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles that need a test per hit: transparency and visibility by kind of ray, layer by layer.
+
+Warp's mesh queries have neither a lower limit nor a filter, so these triangles lie in structures of their own and
+are queried again from each hit, moved on by its error bound. At most MAX_LAYERS layers are looked through.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import max_component
+from .intersect import MISS, Hit, closest_filtered_hit, surface_point
+from .nodes import evaluate_transparency
+from .sampling import hashed_unit
+from .types import MATERIAL_EMISSION, MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
+
+MAX_LAYERS = wp.constant(32)
+
+# Emitting surfaces are never skipped for certain, or an Add Shader of Transparent and Emission would stay dark.
+EMITTER_PASS_LIMIT = wp.constant(0.75)
+
+
+@wp.struct
+class FilteredHit:
+    """The first hit that stops a ray, and the weight that the layers in front of it leave."""
+
+    hit: Hit
+    weight: wp.vec3
+    overrun: int
+    """1: MAX_LAYERS were not enough"""
+
+
+@wp.func
+def layer_point(scene: Scene, hit: Hit, direction: wp.vec3, kind: int, depth: int, cone: wp.vec2) -> ShadingPoint:
+    """Return a layer's shading point."""
+    point = surface_point(scene, hit, direction)
+    point.footprint = cone[0] + cone[1] * hit.t
+    point.ray_visibility = kind
+    point.ray_length = hit.t
+    point.ray_depth = depth
+    return point
+
+
+@wp.func
+def layer_transparency(scene: Scene, point: ShadingPoint, kind: int) -> wp.vec3:
+    """Return how much of the light a layer lets through: 1 where this kind of ray does not see the object."""
+    if (scene.geometry.instances[point.instance].visibility & kind) == 0:
+        return wp.vec3(1.0, 1.0, 1.0)
+    if (scene.materials.materials[point.material].flags & MATERIAL_TRANSPARENCY) == 0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    return evaluate_transparency(scene, point)
+
+
+@wp.func
+def step_past(point: ShadingPoint, direction: wp.vec3, t: float) -> float:
+    """Return the distance from which to look for the next layer: past this one's error bound."""
+    cosine = wp.max(wp.abs(wp.dot(point.geometric_normal, direction)), 1.0e-3)
+    return t + wp.max(2.0 * point.error / cosine, t * 2.4e-7)
+
+
+@wp.func
+def accept_hit(
+    scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, kind: int, depth: int, cone: wp.vec2,
+    noise: wp.uint32,
+) -> FilteredHit:
+    """Return the first layer that stops the ray, else the opaque hit.
+
+    A layer of transparency T is passed with probability max(T) and the weight T / max(T); when it stops the ray the
+    rest of its closures count by 1 / (1 - probability), so the expectation is exact.
+    """
+    result = FilteredHit()
+    result.hit = opaque
+    result.weight = wp.vec3(1.0, 1.0, 1.0)
+    result.overrun = 0
+    start = float(0.0)
+    for layer in range(MAX_LAYERS):
+        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, opaque.t - start)
+        if hit.instance == MISS:
+            return result
+        hit.t = hit.t + start
+        point = layer_point(scene, hit, direction, kind, depth, cone)
+        transparency = layer_transparency(scene, point, kind)
+        chance = wp.clamp(max_component(transparency), 0.0, 1.0)
+        if (scene.materials.materials[point.material].flags & MATERIAL_EMISSION) != 0:
+            if (scene.geometry.instances[point.instance].visibility & kind) != 0:
+                chance = wp.min(chance, EMITTER_PASS_LIMIT)
+        if hashed_unit(noise, wp.uint32(layer)) >= chance:
+            result.hit = hit
+            result.weight = result.weight / (1.0 - chance)
+            return result
+        result.weight = wp.cw_mul(result.weight, transparency / chance)
+        start = step_past(point, direction, hit.t)
+        if start >= opaque.t:
+            return result
+    result.overrun = 1
+    return result
+
+
+@wp.func
+def transmittance(scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, depth: int) -> wp.vec3:
+    """Return the product of all layers' transparency along a shadow ray that no opaque triangle blocks."""
+    product = wp.vec3(1.0, 1.0, 1.0)
+    if scene.geometry.static_filtered_bvh == wp.uint64(0) and scene.geometry.instance_bvh == wp.uint64(0):
+        return product
+    start = float(0.0)
+    for _layer in range(MAX_LAYERS):
+        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
+        if hit.instance == MISS:
+            return product
+        hit.t = hit.t + start
+        point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
+        product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW))
+        if max_component(product) <= 0.0:
+            return product
+        start = step_past(point, direction, hit.t)
+        if start >= distance:
+            return product
+    return wp.vec3(0.0, 0.0, 0.0)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels that build the device scene: world-space vertices, and the power of emissive triangles."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import is_finite3, transform_point
+from .intersect import Hit, surface_point, world_vertex
+from .nodes import evaluate_emission
+from .types import MATERIAL_CONSTANT_EMISSION, VISIBLE_DIFFUSE, Instance, Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.kernel
+def flatten_vertices(
+    # In:
+    instances: wp.array[Instance],
+    positions: wp.array[wp.vec3],
+    vertex_instance: wp.array[int],
+    vertex_source: wp.array[int],
+    first: int,
+    # Out:
+    points_out: wp.array[wp.vec3],
+):
+    """Place the vertices of flattened instances in world space."""
+    i = first + wp.tid()
+    points_out[i] = transform_point(instances[vertex_instance[i]].to_world, positions[vertex_source[i]])
+
+
+@wp.kernel
+def collapse_vertices(
+    # In:
+    first: int,
+    # Out:
+    points_out: wp.array[wp.vec3],
+):
+    """Pull an instance's flattened vertices together, so that no ray can meet its triangles there."""
+    points_out[first + wp.tid()] = points_out[first]
+
+
+@wp.kernel
+def measure_emitters(
+    # In:
+    scene: Scene,
+    faces: wp.array[wp.vec2i],
+    first: int,
+    # Out:
+    power_out: wp.array[float],
+):
+    """Return area times mean radiance of each emissive triangle, over six points where it is textured."""
+    i = first + wp.tid()
+    face = faces[i]
+    geometry = scene.geometry
+    to_world = geometry.instances[face[0]].to_world
+    vertices = geometry.triangles[face[1]]
+    p0 = world_vertex(geometry, to_world, vertices[0])
+    p1 = world_vertex(geometry, to_world, vertices[1])
+    p2 = world_vertex(geometry, to_world, vertices[2])
+    normal = wp.cross(p1 - p0, p2 - p0)
+    area = 0.5 * wp.length(normal)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    hit = Hit()
+    hit.instance = face[0]
+    hit.triangle = face[1]
+    slot = wp.min(geometry.slots[face[1]], geometry.instances[face[0]].material_count - 1)
+    material = scene.materials.instance_materials[geometry.instances[face[0]].material_offset + slot]
+    if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
+        total = scene.materials.materials[material].emission
+    elif area > 0.0:
+        direction = -normal / (2.0 * area)
+        for k in range(6):
+            # Three points near the corners, three near the edges' middles.
+            hit.u = wp.where(k % 3 == 0, 0.6, 0.2)
+            hit.v = wp.where(k % 3 == 1, 0.6, 0.2)
+            if k >= 3:
+                hit.u = wp.where(k == 3, 0.1, 0.45)
+                hit.v = wp.where(k == 4, 0.1, 0.45)
+            point = surface_point(scene, hit, direction)
+            point.footprint = 0.5 * wp.sqrt(area)
+            point.ray_visibility = VISIBLE_DIFFUSE
+            point.ray_depth = 1
+            radiance = evaluate_emission(scene, point)
+            if is_finite3(radiance):
+                total += radiance / 6.0
+    mean = (wp.max(total[0], 0.0) + wp.max(total[1], 0.0) + wp.max(total[2], 0.0)) / 3.0
+    power_out[i] = area * mean

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays against the scene: closest hit, any hit, and the geometry of a hit. Thin: knows no materials.
+
+Static triangles lie flattened in one wp.Mesh in world space; instances that move or are too many to flatten lie
+under a wp.Bvh whose leaves are queried in object space (a mesh query inside a bvh query works in Warp, a bvh query
+inside another does not). Triangles that need a test per hit (transparency, visibility by ray kind) lie in
+structures of their own, queried by filter.py layer by layer.
+
+Ray origins are moved off the surface by the float error bound of the hit position (Pharr, Jakob and Humphreys,
+"Physically Based Rendering" 4th ed., section 6.8), not by a constant: a scene may be any size.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
+from .types import Geometry, Instance, Scene, ShadingPoint
+
+# Nothing was hit.
+MISS = wp.constant(-1)
+
+# Position errs by at most this many roundoffs of the coordinates' magnitude: transform (4), barycentric
+# interpolation (5) and the query's own distance (the rest), with a factor of two in reserve.
+ERROR_ROUNDOFFS = wp.constant(32.0)
+
+
+@wp.struct
+class Hit:
+    """Closest hit of a ray."""
+
+    t: float
+    """Distance along the ray in units of its direction"""
+    instance: int
+    """MISS where nothing was hit"""
+    triangle: int
+    """Index into Geometry.triangles"""
+    u: float
+    v: float
+    """Weights of the second and third vertex"""
+
+
+@wp.func
+def closest_in_mesh(mesh: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float) -> wp.MeshQueryRay:
+    """Query one wp.Mesh for the closest hit below t_max."""
+    return wp.mesh_query_ray(mesh, origin, direction, t_max)
+
+
+@wp.func
+def closest_static(bvh: wp.uint64, faces: wp.array[wp.vec2i], origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
+    """Shorten `hit` by the flattened triangles of one structure (0: there is none)."""
+    result = hit
+    if bvh != wp.uint64(0):
+        query = wp.mesh_query_ray(bvh, origin, direction, hit.t)
+        if query.result:
+            face = faces[query.face]
+            result.t = query.t
+            result.instance = face[0]
+            result.triangle = face[1]
+            # Warp weighs the first vertex by u and the second by v.
+            result.u = query.v
+            result.v = 1.0 - query.u - query.v
+    return result
+
+
+@wp.func
+def closest_instanced(geometry: Geometry, filtered: int, origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
+    """Shorten `hit` by the instances of the two-level structure; `filtered` chooses which of their meshes."""
+    result = hit
+    if geometry.instance_bvh == wp.uint64(0):
+        return result
+    query = wp.bvh_query_ray(geometry.instance_bvh, origin, direction)
+    leaf = int(0)
+    while wp.bvh_query_next(query, leaf, result.t):
+        index = geometry.bvh_instances[leaf]
+        bvh = geometry.instances[index].opaque_bvh
+        first_face = geometry.instances[index].opaque_faces
+        if filtered == 1:
+            bvh = geometry.instances[index].filtered_bvh
+            first_face = geometry.instances[index].filtered_faces
+        if bvh != wp.uint64(0):
+            to_object = geometry.instances[index].to_object
+            # The direction is not normalised, so t means the same in both spaces.
+            local = wp.mesh_query_ray(
+                bvh, transform_point(to_object, origin), transform_direction(to_object, direction), result.t)
+            if local.result:
+                result.t = local.t
+                result.instance = index
+                result.triangle = geometry.mesh_faces[first_face + local.face]
+                result.u = local.v
+                result.v = 1.0 - local.u - local.v
+    return result
+
+
+@wp.func
+def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
+    """Return the closest opaque hit before t_max."""
+    hit = Hit()
+    hit.t = t_max
+    hit.instance = MISS
+    hit = closest_static(geometry.static_bvh, geometry.static_faces, origin, direction, hit)
+    return closest_instanced(geometry, 0, origin, direction, hit)
+
+
+@wp.func
+def closest_filtered_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
+    """Return the closest hit before t_max among the triangles that need a test."""
+    hit = Hit()
+    hit.t = t_max
+    hit.instance = MISS
+    hit = closest_static(geometry.static_filtered_bvh, geometry.static_filtered_faces, origin, direction, hit)
+    return closest_instanced(geometry, 1, origin, direction, hit)
+
+
+@wp.func
+def any_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> bool:
+    """Return whether an opaque triangle lies before t_max."""
+    if geometry.static_bvh != wp.uint64(0):
+        if wp.mesh_query_ray_anyhit(geometry.static_bvh, origin, direction, t_max):
+            return True
+    if geometry.instance_bvh != wp.uint64(0):
+        query = wp.bvh_query_ray(geometry.instance_bvh, origin, direction)
+        leaf = int(0)
+        while wp.bvh_query_next(query, leaf, t_max):
+            index = geometry.bvh_instances[leaf]
+            bvh = geometry.instances[index].opaque_bvh
+            if bvh != wp.uint64(0):
+                to_object = geometry.instances[index].to_object
+                local_origin = transform_point(to_object, origin)
+                local_direction = transform_direction(to_object, direction)
+                if wp.mesh_query_ray_anyhit(bvh, local_origin, local_direction, t_max):
+                    return True
+    return False
+
+
+@wp.func
+def world_vertex(geometry: Geometry, to_world: wp.mat44, vertex: int) -> wp.vec3:
+    """Return a vertex in world space; flattening uses the same expression, so both agree."""
+    return transform_point(to_world, geometry.positions[vertex])
+
+
+@wp.func
+def triangle_error(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, to_world: wp.mat44) -> float:
+    """Return a bound of the float error of a point on the triangle, per coordinate."""
+    extent = wp.max(wp.max(wp.length(p0), wp.length(p1)), wp.length(p2))
+    # A large translation cancelled by large object coordinates leaves its rounding behind.
+    shift = wp.abs(to_world[0, 3]) + wp.abs(to_world[1, 3]) + wp.abs(to_world[2, 3])
+    return ERROR_ROUNDOFFS * UNIT_ROUNDOFF * (extent + shift)
+
+
+@wp.func
+def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
+    """Return the geometry of a hit: position, normals towards the ray's origin, material, error bound."""
+    geometry = scene.geometry
+    to_world = geometry.instances[hit.instance].to_world
+    to_object = geometry.instances[hit.instance].to_object
+    vertices = geometry.triangles[hit.triangle]
+    p0 = world_vertex(geometry, to_world, vertices[0])
+    p1 = world_vertex(geometry, to_world, vertices[1])
+    p2 = world_vertex(geometry, to_world, vertices[2])
+    w = 1.0 - hit.u - hit.v
+    corner = 3 * hit.triangle
+    local_normal = (
+        geometry.normals[corner] * w
+        + geometry.normals[corner + 1] * hit.u
+        + geometry.normals[corner + 2] * hit.v
+    )
+    flip = wp.where(geometry.instances[hit.instance].flipped == 1, -1.0, 1.0)
+    ng = normalize_or(wp.cross(p1 - p0, p2 - p0) * flip, -direction)
+    n = normalize_or(transform_normal(to_object, local_normal), ng)
+
+    point = ShadingPoint()
+    point.position = p0 * w + p1 * hit.u + p2 * hit.v
+    point.wo = -direction
+    point.backfacing = int(0)
+    if wp.dot(ng, direction) > 0.0:
+        point.backfacing = 1
+        ng = -ng
+        n = -n
+    point.geometric_normal = ng
+    point.normal = n
+    point.instance = hit.instance
+    point.triangle = hit.triangle
+    point.u = hit.u
+    point.v = hit.v
+    point.error = triangle_error(p0, p1, p2, to_world)
+    slot = wp.min(geometry.slots[hit.triangle], geometry.instances[hit.instance].material_count - 1)
+    point.material = scene.materials.instance_materials[geometry.instances[hit.instance].material_offset + slot]
+    return point
+
+
+@wp.func
+def offset_origin(position: wp.vec3, normal: wp.vec3, error: float, direction: wp.vec3) -> wp.vec3:
+    """Move a ray's origin off the surface, to the side that it leaves for."""
+    distance = error * (wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2]))
+    if wp.dot(normal, direction) < 0.0:
+        return position - normal * distance
+    return position + normal * distance

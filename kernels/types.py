@@ -1,0 +1,491 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Structs shared by the kernels: scene, shading point, closure, BSDF, path state. No functions, no kernels.
+
+Spaces: positions are world space relative to the scene's origin (subtracted in float64 on the host), float32.
+Directions are unit length and point away from the surface: `wo` towards the viewer, `wi` towards the light.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+__all__ = [
+    "Bsdf", "BsdfSample", "BsdfValue", "Closure", "Environment", "FrameData", "Geometry", "Instance", "Light",
+    "Lights", "Material", "Materials", "Scene", "ShadingPoint", "Tables", "TextureInfo", "Textures",
+]
+
+# Ray kinds and object flags: the bits of engine.scene.Visibility.
+VISIBLE_CAMERA = wp.constant(1)
+VISIBLE_DIFFUSE = wp.constant(2)
+VISIBLE_GLOSSY = wp.constant(4)
+VISIBLE_TRANSMISSION = wp.constant(8)
+VISIBLE_SHADOW = wp.constant(16)
+HOLDOUT = wp.constant(64)
+
+# Kinds of closure that a material program can end in.
+CLOSURE_NONE = wp.constant(0)
+CLOSURE_PRINCIPLED = wp.constant(1)
+CLOSURE_DIFFUSE = wp.constant(2)
+CLOSURE_GLOSSY = wp.constant(3)
+CLOSURE_GLASS = wp.constant(4)
+CLOSURE_REFRACTION = wp.constant(5)
+CLOSURE_TRANSLUCENT = wp.constant(6)
+CLOSURE_SHEEN = wp.constant(7)
+
+# Light.kind
+LIGHT_POINT = wp.constant(0)
+LIGHT_SUN = wp.constant(1)
+LIGHT_SPOT = wp.constant(2)
+LIGHT_AREA = wp.constant(3)
+LIGHT_TRIANGLE = wp.constant(4)
+LIGHT_ENVIRONMENT = wp.constant(5)
+
+# Light.flags
+LIGHT_SPHERE = wp.constant(1)
+LIGHT_ELLIPSE = wp.constant(2)
+LIGHT_NO_SHADOW = wp.constant(4)
+LIGHT_HITTABLE = wp.constant(8)
+"""Has an extent and takes part in multiple importance sampling: rays can meet it"""
+
+# Material.flags
+MATERIAL_TRANSPARENCY = wp.constant(1)
+MATERIAL_EMISSION = wp.constant(2)
+MATERIAL_CONSTANT_EMISSION = wp.constant(4)
+
+
+@wp.struct
+class Instance:
+    """One placed mesh. Rows of the affine transforms; object space is the mesh's own."""
+
+    to_world: wp.mat44
+    to_object: wp.mat44
+    mesh: int
+    """Row of Geometry.uv_offsets and attribute_offsets"""
+    triangle_offset: int
+    """First triangle of the mesh in Geometry.triangles"""
+    material_offset: int
+    """First slot in Materials.instance_materials"""
+    material_count: int
+    opaque_bvh: wp.uint64
+    """Object-space wp.Mesh of the opaque triangles, 0 where the instance is flattened or has none"""
+    filtered_bvh: wp.uint64
+    """The same for triangles that need a test per hit (transparency, ray visibility)"""
+    opaque_faces: int
+    """First entry in Geometry.mesh_faces for opaque_bvh's faces"""
+    filtered_faces: int
+    visibility: int
+    object_id: int
+    pass_index: int
+    random: float
+    """Object Info's random value, 0..1"""
+    color: wp.vec4
+    generated_location: wp.vec3
+    generated_size: wp.vec3
+    flipped: int
+    """1 where the transform mirrors (negative determinant)"""
+
+
+@wp.struct
+class Geometry:
+    """All triangles and the structures over them."""
+
+    static_bvh: wp.uint64
+    """wp.Mesh of all flattened opaque triangles in world space, 0 for none"""
+    static_filtered_bvh: wp.uint64
+    """wp.Mesh of all flattened triangles that need a test per hit, 0 for none"""
+    static_faces: wp.array[wp.vec2i]
+    """(instance, triangle) per face of static_bvh; triangle indexes `triangles`"""
+    static_filtered_faces: wp.array[wp.vec2i]
+    instance_bvh: wp.uint64
+    """wp.Bvh over the instances that are not flattened, 0 for none"""
+    bvh_instances: wp.array[int]
+    """Instance per leaf of instance_bvh"""
+    mesh_faces: wp.array[int]
+    """Triangle (index into `triangles`) per face of the object-space structures"""
+    instances: wp.array[Instance]
+    triangles: wp.array[wp.vec3i]
+    """Vertex indices into `positions`"""
+    slots: wp.array[int]
+    """Material slot per triangle"""
+    positions: wp.array[wp.vec3]
+    """Object space"""
+    normals: wp.array[wp.vec3]
+    """Object space, 3 a triangle"""
+    uvs: wp.array[wp.vec2]
+    """All UV maps one after another, 3 entries a triangle"""
+    uv_offsets: wp.array2d[int]
+    """[mesh, uv map id]: add 3 * (triangle - triangle_offset) + corner; -1 where the mesh lacks the map"""
+    attributes: wp.array[wp.vec4]
+    """All other attributes alike"""
+    attribute_offsets: wp.array2d[int]
+    epsilon: float
+    """Float error of a coordinate at the scene's extent: |largest coordinate| * 2**-23"""
+
+
+@wp.struct
+class Material:
+    """Where a material's programs lie and what it can do."""
+
+    surface_start: int
+    """First instruction of the whole program"""
+    transparency_start: int
+    """First instruction of the part that yields transparency alone"""
+    emission_start: int
+    """First instruction of the part that yields emission alone"""
+    flags: int
+    emission: wp.vec3
+    """Radiance where MATERIAL_CONSTANT_EMISSION is set"""
+    pass_index: int
+
+
+@wp.struct
+class Materials:
+    """All programs of the node machine (nodes.py)."""
+
+    materials: wp.array[Material]
+    instance_materials: wp.array[int]
+    """Material per (instance.material_offset + slot)"""
+    code: wp.array[wp.vec4i]
+    """Instructions, see nodes.py"""
+    constants: wp.array[wp.vec4]
+    ramps: wp.array[wp.vec4]
+    """Tables of ramps and curves"""
+    world_start: int
+    """First instruction of the world's program"""
+
+
+@wp.struct
+class TextureInfo:
+    """One image, see texture.py."""
+
+    width: int
+    height: int
+    levels: int
+    """Mip levels, at least 1; each follows the one before it, sides halved and rounded down"""
+    offset: int
+    """First texel of level 0 in the array that `format` names"""
+    format: int
+    """TEXELS_* in texture.py"""
+    srgb: int
+    """1: decode the sRGB transfer function after filtering"""
+    alpha: int
+    """ALPHA_* in texture.py: how colour and alpha relate in the stored texels"""
+
+
+@wp.struct
+class Textures:
+    """All images; filled by engine/textures.py, read by texture.py only."""
+
+    infos: wp.array[TextureInfo]
+    bytes4: wp.array[wp.uint32]
+    """8-bit RGBA texels, red in the lowest byte"""
+    shorts4: wp.array[wp.vec4us]
+    """16-bit RGBA texels"""
+    halves4: wp.array[wp.vec4h]
+    """Half-float RGBA texels"""
+    floats4: wp.array[wp.vec4]
+    """Float RGBA texels"""
+
+
+@wp.struct
+class Light:
+    """One lamp. Meaning of the fields by kind, see lights.py."""
+
+    kind: int
+    radiance: wp.vec3
+    """Emitted radiance on the surface; intensity [W/sr] for lamps of radius 0; irradiance [W/m2] for suns of angle 0"""
+    position: wp.vec3
+    direction: wp.vec3
+    """Unit vector along which the lamp shines (its local -z)"""
+    axis_u: wp.vec3
+    axis_v: wp.vec3
+    """Area: full edges or diameters [m]. Spot: cone axes over its scale, so that the cone is round in them"""
+    radius: float
+    """Point and spot [m]"""
+    one_minus_cos: float
+    """Sun: of half its angle"""
+    area: float
+    spot_cos: float
+    spot_smooth: float
+    spread_tan: float
+    spread_norm: float
+    """Area: attenuation (tan - tan of the angle) * norm; 0 = full hemisphere"""
+    flags: int
+    """LIGHT_* bits"""
+    visibility: int
+
+
+@wp.struct
+class Environment:
+    """The world's sampling table: piecewise constant over an equirectangular grid, alias method."""
+
+    width: int
+    height: int
+    probability: wp.array[float]
+    alias: wp.array[int]
+    weight: wp.array[float]
+    """Probability of each texel, sums to 1"""
+    constant: int
+    """1: the same radiance everywhere (`radiance`), no program"""
+    radiance: wp.vec3
+    visibility: int
+
+
+@wp.struct
+class Lights:
+    """Everything that emits, with one alias table to choose from: lamps, then emissive triangles, then the world."""
+
+    lamps: wp.array[Light]
+    triangles: wp.array[wp.vec2i]
+    """(instance, triangle) of emissive triangles"""
+    emitter_offset: wp.array[int]
+    """Per instance: first entry in emitter_index, -1 for instances without emitters"""
+    emitter_index: wp.array[int]
+    """Per triangle of an instance with emitters: index into `triangles` or -1"""
+    probability: wp.array[float]
+    alias: wp.array[int]
+    weight: wp.array[float]
+    """Probability of choosing each entry, sums to 1"""
+    lamp_count: int
+    entry_count: int
+    environment_entry: int
+    """Entry of the environment or -1"""
+
+
+@wp.struct
+class Tables:
+    """Directional albedos of GGX, see albedo_tables.py."""
+
+    ggx_e: wp.array2d[float]
+    """[cosine, roughness] single-scattering albedo for Fresnel 1"""
+    ggx_e_avg: wp.array[float]
+    """[roughness] mean over the cosine"""
+    glass_e: wp.array3d[float]
+    """[ior, cosine, roughness] dielectric interface, entering (ior > 1)"""
+    glass_e_avg: wp.array2d[float]
+    """[ior, roughness]"""
+    glass_inv_e: wp.array3d[float]
+    """Leaving (ior < 1)"""
+    glass_inv_e_avg: wp.array2d[float]
+    schlick_ior_s: wp.array3d[float]
+    """[ior, cosine, roughness] weight between F0 and F90 under the real dielectric Fresnel"""
+    schlick_s: wp.array2d[float]
+    """[cosine, roughness] weight between F0 and F90 under Schlick's curve, for metals"""
+
+
+@wp.struct
+class Scene:
+    """Everything a ray can meet; passed by value to every kernel."""
+
+    geometry: Geometry
+    materials: Materials
+    textures: Textures
+    lights: Lights
+    environment: Environment
+    tables: Tables
+    radius: float
+    """Half the diagonal of the scene's bounds [m]"""
+    luminance: wp.vec3
+    """Weights of the working space's primaries"""
+
+
+@wp.struct
+class FrameData:
+    """What changes from frame to frame; lives in a one-element device array so that a captured graph sees it."""
+
+    camera_to_world: wp.mat44
+    """Relative to the scene's origin"""
+    window: wp.vec4
+    """left, right, bottom, top on the image plane at distance 1 (orthographic: metres)"""
+    orthographic: int
+    clip_start: float
+    clip_end: float
+    aperture_radius: float
+    focus_distance: float
+    aperture_blades: int
+    aperture_rotation: float
+    aperture_ratio: float
+    width: int
+    height: int
+    """Full frame [px]"""
+    crop_x: int
+    crop_y: int
+    """First pixel rendered, bottom-left origin"""
+    crop_width: int
+    crop_height: int
+    sample: int
+    """Index of the first sample of this launch"""
+    seed: int
+    spread: float
+    """Angle between the rays of neighbouring pixels [rad]; orthographic: 0, see `pixel_size`"""
+    pixel_size: float
+    """Footprint of a pixel at the camera [m]; perspective: 0"""
+
+
+@wp.struct
+class ShadingPoint:
+    """One hit, ready for a material program."""
+
+    position: wp.vec3
+    geometric_normal: wp.vec3
+    """Unit, on the side of `wo`"""
+    normal: wp.vec3
+    """Interpolated shading normal, unit, flipped along with geometric_normal"""
+    wo: wp.vec3
+    backfacing: int
+    """1: the ray came from behind the face"""
+    instance: int
+    triangle: int
+    """Index into Geometry.triangles"""
+    u: float
+    v: float
+    """Weights of the second and third vertex"""
+    material: int
+    footprint: float
+    """Width of the ray cone across the ray [m], for texture filtering"""
+    error: float
+    """Bound of the float error of `position`, per coordinate [m]"""
+    ray_visibility: int
+    """Kind of the ray that arrived: one VISIBLE_* bit"""
+    ray_length: float
+    ray_depth: int
+
+
+@wp.struct
+class Closure:
+    """What a material program says about a point: one BSDF with its parameters, plus emission and transparency.
+
+    Where a material mixes several BSDFs one is drawn with the caller's random number and `weight` is divided by its
+    probability, so the expectation is the mix.
+    """
+
+    kind: int
+    weight: wp.vec3
+    """Factor on the BSDF and on `emission_layered`"""
+    color: wp.vec3
+    """Base Color; Color of the simple BSDFs"""
+    normal: wp.vec3
+    coat_normal: wp.vec3
+    tangent: wp.vec3
+    metallic: float
+    roughness: float
+    diffuse_roughness: float
+    ior: float
+    specular_level: float
+    specular_tint: wp.vec3
+    anisotropic: float
+    anisotropic_rotation: float
+    transmission: float
+    subsurface: float
+    subsurface_anisotropy: float
+    """Of thin walls: -1 reflects all, 1 transmits all"""
+    coat: float
+    coat_roughness: float
+    coat_ior: float
+    coat_tint: wp.vec3
+    sheen: float
+    sheen_roughness: float
+    sheen_tint: wp.vec3
+    thin_wall: int
+    multiscatter: int
+    """1: Multiscatter GGX (energy preserving), 0: plain GGX"""
+    emission_layered: wp.vec3
+    """The Principled BSDF's own emission: under its coat and sheen, times `weight`"""
+    emission: wp.vec3
+    """Radiance of all Emission nodes, weighted"""
+    transparency: wp.vec3
+    """Weight of all Transparent BSDFs, 1 - alpha of Principled ones included"""
+    holdout: float
+
+
+@wp.struct
+class Bsdf:
+    """A closure prepared for one `wo`: lobe weights with layering and energy compensation applied, see layering.py."""
+
+    geometric_normal: wp.vec3
+    smooth_normal: wp.vec3
+    """Interpolated normal, without normal map or bump"""
+    normal: wp.vec3
+    """Of the diffuse and translucent lobes"""
+    specular_normal: wp.vec3
+    """The same, turned so that the mirrored view leaves the surface"""
+    tangent: wp.vec3
+    """Of anisotropic reflection, zero for none"""
+    alpha_x: float
+    alpha_y: float
+    """GGX roughness of the base reflection (metal and dielectric)"""
+    metal: wp.vec3
+    """Weight of the metallic lobe, energy scale included"""
+    metal_f0: wp.vec3
+    metal_b: wp.vec3
+    """F82 term"""
+    metal_constant: int
+    """1: no Fresnel (Glossy BSDF)"""
+    dielectric: wp.vec3
+    """Weight of the dielectric reflection lobe, energy scale included"""
+    dielectric_f0: wp.vec3
+    dielectric_ior: float
+    glass_kind: int
+    """One of GLASS_*; see layering.py"""
+    glass: wp.vec3
+    """Weight of the refractive lobe, energy scale included"""
+    glass_f0: wp.vec3
+    glass_reflection_tint: wp.vec3
+    glass_transmission_tint: wp.vec3
+    """Thin walls: these two are the lobes' whole colours"""
+    glass_ior: float
+    """Relative to the side of `wo`: inverted on back faces"""
+    glass_alpha: float
+    thin_alpha: float
+    """GGX roughness of the light that passes a thin wall"""
+    coat: wp.vec3
+    coat_normal: wp.vec3
+    coat_alpha: float
+    coat_ior: float
+    diffuse: wp.vec3
+    """Albedo weight"""
+    translucent: wp.vec3
+    diffuse_a: float
+    diffuse_b: float
+    diffuse_multiscatter: wp.vec3
+    """Oren-Nayar terms of the diffuse and the translucent lobe (b = 0: Lambert)"""
+    sheen: wp.vec3
+    sheen_normal: wp.vec3
+    sheen_a: float
+    sheen_b: float
+    emission: wp.vec3
+    """Radiance leaving towards `wo`, all of it"""
+    pick_diffuse: float
+    pick_specular: float
+    pick_coat: float
+    pick_glass: float
+    pick_translucent: float
+    pick_sheen: float
+    """Probabilities of sampling each lobe; sum 1, or 0 for a black surface"""
+
+
+@wp.struct
+class BsdfValue:
+    """f * |cos| and the pdf of sample_bsdf for a given pair of directions; delta lobes are not in it."""
+
+    f: wp.vec3
+    pdf: float
+    diffuse: wp.vec3
+    """Part of f that is diffuse or translucent"""
+
+
+@wp.struct
+class BsdfSample:
+    """One sampled direction."""
+
+    wi: wp.vec3
+    weight: wp.vec3
+    """f * |cos| / pdf over all lobes (delta lobes: their own weight)"""
+    pdf: float
+    """Solid angle; 0 means absorbed"""
+    delta: int
+    """1: a mirror or smooth refraction: no MIS"""
+    kind: int
+    """VISIBLE_DIFFUSE, VISIBLE_GLOSSY or VISIBLE_TRANSMISSION"""
+    roughness: float
+    """Perceptual roughness of the sampled lobe, for the ray cone"""

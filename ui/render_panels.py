@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panels of the render tab: sampling, light paths, film, performance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bpy.types import Panel
+
+from .panel import BurnishPanel
+
+__all__ = ["classes"]
+
+
+class BURNISH_RENDER_PT_device(BurnishPanel, Panel):
+    """Where the kernels run."""
+
+    bl_label = "Device"
+    bl_options = {'HIDE_HEADER'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        self.split_layout().prop(context.scene.burnish, "device")
+
+
+class BURNISH_RENDER_PT_sampling(BurnishPanel, Panel):
+    """Samples of viewport and final render."""
+
+    bl_label = "Sampling"
+
+    def draw(self, context: Any) -> None:
+        """Draw nothing: the panels below do."""
+
+
+class BURNISH_RENDER_PT_sampling_viewport(BurnishPanel, Panel):
+    """Samples of the viewport."""
+
+    bl_label = "Viewport"
+    bl_parent_id = "BURNISH_RENDER_PT_sampling"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        self.split_layout().prop(context.scene.burnish.sampling, "viewport_samples", text="Samples")
+
+
+class BURNISH_RENDER_PT_sampling_render(BurnishPanel, Panel):
+    """Samples of the final render."""
+
+    bl_label = "Render"
+    bl_parent_id = "BURNISH_RENDER_PT_sampling"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, sampling = self.split_layout(), context.scene.burnish.sampling
+        layout.prop(sampling, "samples")
+        layout.prop(sampling, "time_limit")
+
+
+class BURNISH_RENDER_PT_sampling_advanced(BurnishPanel, Panel):
+    """Random numbers."""
+
+    bl_label = "Advanced"
+    bl_parent_id = "BURNISH_RENDER_PT_sampling"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        self.split_layout().prop(context.scene.burnish.sampling, "seed")
+
+
+class BURNISH_RENDER_PT_light_paths(BurnishPanel, Panel):
+    """How long light is followed."""
+
+    bl_label = "Light Paths"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, paths = self.split_layout(), context.scene.burnish.light_paths
+        layout.prop(paths, "max_bounces")
+        layout.prop(paths, "roulette_start")
+
+
+class BURNISH_RENDER_PT_light_paths_clamping(BurnishPanel, Panel):
+    """Limits on single samples."""
+
+    bl_label = "Clamping"
+    bl_parent_id = "BURNISH_RENDER_PT_light_paths"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, paths = self.split_layout(), context.scene.burnish.light_paths
+        column = layout.column(align=True)
+        column.prop(paths, "clamp_direct", text="Direct Light")
+        column.prop(paths, "clamp_indirect", text="Indirect Light")
+
+
+class BURNISH_RENDER_PT_film(BurnishPanel, Panel):
+    """How samples become pixels."""
+
+    bl_label = "Film"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout = self.split_layout()
+        layout.prop(context.scene.burnish.film, "exposure")
+        layout.prop(context.scene.render, "film_transparent", text="Transparent")
+
+
+class BURNISH_RENDER_PT_film_filter(BurnishPanel, Panel):
+    """Reconstruction filter."""
+
+    bl_label = "Pixel Filter"
+    bl_parent_id = "BURNISH_RENDER_PT_film"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, film = self.split_layout(), context.scene.burnish.film
+        layout.prop(film, "pixel_filter", text="Type")
+        if film.pixel_filter != 'BOX':
+            layout.prop(film, "filter_width", text="Width")
+
+
+class BURNISH_RENDER_PT_performance(BurnishPanel, Panel):
+    """What the machine may spend."""
+
+    bl_label = "Performance"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout = self.split_layout()
+        layout.prop(context.scene.burnish.performance, "instancing_threshold")
+        layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
+        layout.operator("burnish.warm_up", icon='SHADERFX')
+
+
+class BURNISH_RENDER_PT_performance_viewport(BurnishPanel, Panel):
+    """Speed of the viewport."""
+
+    bl_label = "Viewport"
+    bl_parent_id = "BURNISH_RENDER_PT_performance"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, performance = self.split_layout(), context.scene.burnish.performance
+        layout.prop(performance, "viewport_pixel_size", text="Pixel Size")
+        column = layout.column()
+        column.active = performance.viewport_pixel_size == 0
+        column.prop(performance, "frame_time")
+
+
+class BURNISH_RENDER_PT_performance_textures(BurnishPanel, Panel):
+    """Memory for textures."""
+
+    bl_label = "Textures"
+    bl_parent_id = "BURNISH_RENDER_PT_performance"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, performance = self.split_layout(), context.scene.burnish.performance
+        layout.prop(performance, "texture_budget", text="Budget (MiB)")
+        layout.prop(performance, "texture_size_limit", text="Size Limit")
+
+
+classes = (
+    BURNISH_RENDER_PT_device,
+    BURNISH_RENDER_PT_sampling,
+    BURNISH_RENDER_PT_sampling_viewport,
+    BURNISH_RENDER_PT_sampling_render,
+    BURNISH_RENDER_PT_sampling_advanced,
+    BURNISH_RENDER_PT_light_paths,
+    BURNISH_RENDER_PT_light_paths_clamping,
+    BURNISH_RENDER_PT_film,
+    BURNISH_RENDER_PT_film_filter,
+    BURNISH_RENDER_PT_performance,
+    BURNISH_RENDER_PT_performance_viewport,
+    BURNISH_RENDER_PT_performance_textures,
+)
