@@ -12,7 +12,6 @@ import argparse
 import enum
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -156,14 +155,16 @@ def run_info(arguments: argparse.Namespace, console: Console) -> int:
     """Print what a bug report should say."""
     import platform
 
-    from ..engine.device import device_info
+    from ..engine.device import choose_device, device_info
 
     console.print(f"Python: {platform.python_version()} on {platform.platform()}")
-    information = device_info()
-    pairs = information.items() if isinstance(information, dict) else (
-        (field.name, getattr(information, field.name)) for field in fields(information))
-    for name, value in pairs:
-        console.print(f"{name.replace('_', ' ').capitalize()}: {value}")
+    for alias in dict.fromkeys((choose_device(Device.AUTO), choose_device(Device.CPU))):
+        info = device_info(alias)
+        console.print(f"Device {alias}: {info.name}")
+        if info.cuda:
+            console.print(f"  memory: {info.free_memory / 2**30:.1f} of {info.total_memory / 2**30:.1f} GiB free")
+            console.print(f"  driver: {info.driver}")
+    console.print(f"Warp: {info.warp_version}")
     return 0
 
 

@@ -23,7 +23,7 @@ from ..engine.scene import CameraData
 from ..engine.settings import RenderSettings
 from . import builds, passes, preferences, preview, report
 from .extract.camera import camera_from_scene
-from .extract.scene import SceneExtractor
+from .extract.scene import ExtractionCancelled, SceneExtractor
 from .extract.settings import settings_from_scene
 from .progress import Cancelled, RenderProgress
 
@@ -74,7 +74,7 @@ def render(engine: Any, depsgraph: Any) -> None:
         return
     try:
         with_session(engine, depsgraph, FinalRender(engine, depsgraph))
-    except Cancelled:
+    except (Cancelled, ExtractionCancelled):
         log.info("Render cancelled")
     except Exception as error:
         report.fail(engine, error)
@@ -125,8 +125,6 @@ class FinalRender:
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)
-        if delta is None or self.engine.test_break():
-            raise Cancelled
         session.update(delta, self.progress.stage)
         for part, view in enumerate(self.views):
             self.progress.part = part

@@ -34,8 +34,8 @@ AOVS = (
     Aov("Position", "Position", "XYZ", 'VECTOR', "use_pass_position"),
     Aov("Normal", "Normal", "XYZ", 'VECTOR', "use_pass_normal"),
     Aov("UV", "UV", "UVA", 'VECTOR', "use_pass_uv"),
-    Aov(compat.pass_name("Object Index"), "IndexOB", "X", 'VALUE', "use_pass_object_index"),
-    Aov(compat.pass_name("Material Index"), "IndexMA", "X", 'VALUE', "use_pass_material_index"),
+    Aov(compat.pass_name("Object Index"), "Object Index", "X", 'VALUE', "use_pass_object_index"),
+    Aov(compat.pass_name("Material Index"), "Material Index", "X", 'VALUE', "use_pass_material_index"),
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
 )

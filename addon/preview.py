@@ -28,6 +28,7 @@ def with_preview_budget(settings: RenderSettings) -> RenderSettings:
 def render(engine: Any, depsgraph: Any) -> None:
     """Render a preview; a failure is logged, since an icon is no place for a message."""
     from . import final
+    from .extract.scene import ExtractionCancelled
     from .progress import Cancelled
 
     if min(engine.resolution_x, engine.resolution_y) < ICON_SIZE_MAX:
@@ -40,7 +41,7 @@ def render(engine: Any, depsgraph: Any) -> None:
             job.run(session, depsgraph)
         finally:
             session.close()
-    except Cancelled:
+    except (Cancelled, ExtractionCancelled):
         log.debug("Preview cancelled")
     except Exception:
         log.exception("The preview could not be rendered")

@@ -99,8 +99,8 @@ class Viewport:
         if self._worker is None or self._worker.failed or not self._worker.alive:
             self._restart()
         self._report = Report()
-        delta = self._extractor.extract(depsgraph, viewport=True, report=self._report)
-        if delta is not None and not is_empty(delta):
+        delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data)
+        if not is_empty(delta):
             self._worker.post_scene(delta)
             start_timer()
 
@@ -145,8 +145,9 @@ class Viewport:
         return status.busy
 
     def forget_scene(self) -> None:
-        """Make the next update a full one (after undo, every cached data-block may have been replaced)."""
-        self._extractor = SceneExtractor()
+        """Make the next update read everything (after undo, every cached data-block may have been replaced)."""
+        if self._extractor is not None:
+            self._extractor.refresh()
 
     def stop_worker(self) -> None:
         """Ask the worker to end, without waiting, and drop it."""

@@ -46,7 +46,7 @@ class DeviceScene:
         self.store = GeometryStore(device)
         self.structures = Structures(device)
         self.textures = TextureStore(device)
-        self.material_table: MaterialTable | None = None
+        self.material_table = MaterialTable(device)
         self.materials: dict[Key, MaterialData] = {}
         self.table: InstanceTable | None = None
         self.plan: InstancePlan | None = None
@@ -97,12 +97,13 @@ class DeviceScene:
                 self.store.put(key, mesh)
         if delta.world is not None:
             self.world = delta.world
-        materials_changed = self._update_materials(delta)
         moved = np.zeros(0, np.int64)
         if delta.instances is not None:
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
+        self._measure_bounds()
+        materials_changed = self._update_materials(delta)
         filters_changed = self._plan_instances()
         rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
         geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
@@ -124,8 +125,8 @@ class DeviceScene:
                 self.lights = delta.lights
             self._assemble()
             if geometry_changed or materials_changed or delta.images:
-                self.emitters = find_emitters(self.scene, self.plan, self.table, self.store, self._material_ids(),
-                                              self.materials, self.device)
+                self.emitters = find_emitters(
+                    self.scene, self.plan, self.table, self.store, self.materials, self.device)
                 self._assemble()
             if delta.world is not None or delta.images or not self.environment_built:
                 build_environment(self.scene, self.world, self.device, self._assemble_with)
@@ -162,18 +163,13 @@ class DeviceScene:
         self.materials.update(delta.materials)
         self.materials.setdefault(None, default_material())
         names = (len(self.store.uv_names), len(self.store.attribute_names))
-        changed = bool(delta.materials) or delta.full or self.material_table is None or names != self.names
-        changed = changed or delta.world is not None or bool(delta.images)
+        changed = bool(delta.materials or delta.images) or delta.full or delta.world is not None or names != self.names
         if changed:
             self.names = names
-            self.material_table = MaterialTable(
-                self.materials, self.world.program if self.world is not None else None, device=self.device,
-                image_index=self.textures.index, uv_id=self.store.uv_id, attribute_id=self.store.attribute_id,
-                report=self.report)
+            self.material_table.build(
+                self.materials, None if self.world is None else self.world.program, self.textures.index,
+                self.store.uv_id, self.store.attribute_id, tuple(self.origin))
         return changed
-
-    def _material_ids(self) -> dict[Key, int]:
-        return self.material_table.index
 
     # -- instances ----------------------------------------------------------------------------------------------
 
@@ -188,33 +184,25 @@ class DeviceScene:
         moved = (table.transforms != old.transforms).any((1, 2))
         return False, np.flatnonzero(moved)
 
-    def _plan_instances(self) -> bool:
-        """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
+    def _measure_bounds(self) -> None:
+        """Find the bounds of all drawn instances and, for a new scene, its origin."""
         table = self.table
         ranges = [self.store.ranges[key] for key in table.mesh_keys]
-        drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[table.mesh_index] if ranges else np.zeros(0, bool)
-        low = np.array([r.low for r in ranges]).reshape(-1, 3)[table.mesh_index]
-        high = np.array([r.high for r in ranges]).reshape(-1, 3)[table.mesh_index]
-        center, half = 0.5 * (low + high), 0.5 * (high - low)
+        pick = table.mesh_index
+        drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[pick] if ranges else np.zeros(0, bool)
+        low = np.array([r.low for r in ranges]).reshape(-1, 3)[pick]
+        high = np.array([r.high for r in ranges]).reshape(-1, 3)[pick]
         linear = table.transforms[:, :3, :3]
-        world_center = np.einsum("nij,nj->ni", linear, center) + table.transforms[:, :3, 3]
-        world_half = np.einsum("nij,nj->ni", np.abs(linear), half)
-        drawn &= np.isfinite(world_center).all(1) & np.isfinite(world_half).all(1)
+        center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
+        half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
+        drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
         if self.plan is None:
-            self._choose_origin(world_center[drawn], world_half[drawn])
-        low, high = world_center - world_half - self.origin, world_center + world_half - self.origin
+            self._choose_origin(center[drawn], half[drawn])
+        self.drawn, self.low, self.high = drawn, center - half - self.origin, center + half - self.origin
         if drawn.any():
-            self.radius = float(max(0.5 * np.linalg.norm(high[drawn].max(0) - low[drawn].min(0)), 1e-6))
-            self.extent = float(np.abs([low[drawn], high[drawn]]).max())
-        old = self.plan
-        groups, group_index = self._filtered_groups(table)
-        self.plan = InstancePlan(
-            mesh_keys=table.mesh_keys, mesh_index=np.where(drawn, table.mesh_index, -1), filtered_slots=groups,
-            group_index=group_index, low=low, high=high)
-        self._fill_rows(table, ranges)
-        if old is None or len(old.group_index) != len(group_index):
-            return True
-        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
+            low, high = self.low[drawn], self.high[drawn]
+            self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
+            self.extent = float(np.abs([low, high]).max())
 
     def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
         """Move far-away scenes to the origin: float32 keeps what matters near it."""
@@ -225,6 +213,18 @@ class DeviceScene:
         middle, extent = 0.5 * (low + high), np.linalg.norm(high - low)
         if np.abs(middle).max() > 16.0 * extent:
             self.origin = np.round(middle)
+
+    def _plan_instances(self) -> bool:
+        """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
+        table, old = self.table, self.plan
+        groups, group_index = self._filtered_groups(table)
+        self.plan = InstancePlan(
+            mesh_keys=table.mesh_keys, mesh_index=np.where(self.drawn, table.mesh_index, -1), filtered_slots=groups,
+            group_index=group_index, low=self.low, high=self.high)
+        self._fill_rows(table, [self.store.ranges[key] for key in table.mesh_keys])
+        if old is None or len(old.group_index) != len(group_index):
+            return True
+        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
 
     def _filtered_groups(self, table: InstanceTable) -> tuple[list[tuple[bool, ...]], np.ndarray]:
         """Return the distinct tuples of filtered slots, and which each instance has."""
@@ -268,10 +268,8 @@ class DeviceScene:
         rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)
         rows["color"] = table.color
         self.rows = rows
-        ids = self._material_ids()
-        default = ids[None]
-        flat = [ids.get(key, default) for keys in table.material_sets for key in keys]
-        self.instance_materials = wp.array(np.array(flat or [default], np.int32), dtype=int, device=self.device)
+        flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
+        self.instance_materials = wp.array(np.array(flat or [0], np.int32), dtype=int, device=self.device)
         self.instances = wp.array(rows, dtype=types.Instance, device=self.device) if count else wp.zeros(
             1, dtype=types.Instance, device=self.device)
 

@@ -40,7 +40,7 @@ class EmitterTable:
 
 def find_emitters(
     scene: types.Scene, plan: InstancePlan | None, table: InstanceTable | None, store: GeometryStore,
-    material_ids: dict[Key, int], materials: dict[Key, MaterialData], device: str,
+    materials: dict[Key, MaterialData], device: str,
 ) -> EmitterTable:
     """Collect the triangles of emissive materials that are sampled as lamps, and measure their power on the device.
 
@@ -49,7 +49,6 @@ def find_emitters(
         plan: Which instances are drawn.
         table: Material sets and visibility.
         store: Triangles and slots per mesh.
-        material_ids: Unused keys are ignored.
         materials: Emission flags by key.
         device: Where to measure.
     """

@@ -22,7 +22,7 @@ from ..kernels.node_math import math as node_math
 from ..kernels.node_vector import vector_math
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, lay_out
 
-__all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "operation_names"]
+__all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "operation_names", "tangent_attribute"]
 
 Vec4 = tuple[float, float, float, float]
 
@@ -44,6 +44,11 @@ ARGUMENTS = {
     "sheen_tint": codes.ARG_SHEEN_TINT, "emission": codes.ARG_EMISSION, "thin_wall": codes.ARG_THIN_WALL,
 }
 """Names of a closure's arguments and their slots"""
+
+TANGENT_PREFIX = ".tangent:"
+
+NEUTRAL_AT_ZERO = {"MIX", "MULTIPLY", "ADD", "SUBTRACT", "DIFFERENCE", "DARKEN", "LIGHTEN", "LINEAR_LIGHT"}
+"""Blend types that return their first colour untouched for a factor of 0; the others may clamp it"""
 
 SIMPLE_SLOTS = 9
 """Slots that BSDFs other than the Principled one pass"""
@@ -172,7 +177,7 @@ class ProgramBuilder:
     def mix(self, name: str, factor, a, b) -> Value:
         """Return b blended over a (names of Blender's blend types)."""
         factor = self.constant(factor)
-        if scalar(factor) == 0.0 and name not in ("EXCLUSION", "SCREEN"):
+        if scalar(factor) == 0.0 and name in NEUTRAL_AT_ZERO:
             return self.rgb(a)
         if scalar(factor) == 1.0 and name == "MIX":
             return self.rgb(b)
@@ -209,15 +214,12 @@ class ProgramBuilder:
         immediates = (index_of(self.uv_maps, uv_map), index_of(self.attributes, tangent_attribute))
         return self._add(codes.OP_INPUT, codes.INPUT_TANGENT_UV, (0.0,), immediates)
 
-    def camera_position(self) -> Value:
-        """Return the position in camera space, z forward."""
+    def camera_space(self, *, direction: bool = False) -> Value:
+        """Return the position, or a world's direction, in camera space with z forward."""
         self.uses_camera = True
-        return self._add(
-            codes.OP_TRANSFORM, codes.TRANSFORM_POINT, (self.scene_position(),), (-1 - codes.CONSTANT_CAMERA,))
-
-    def scene_position(self) -> Value:
-        """Return the position relative to the scene's origin, which the camera's matrix expects."""
-        return self.input("SCENE_POSITION")
+        sub = codes.TRANSFORM_DIRECTION if direction else codes.TRANSFORM_POINT
+        position = self.input("SCENE_POSITION")
+        return self._add(codes.OP_TRANSFORM, sub, (position,), (-1 - codes.CONSTANT_CAMERA,))
 
     def image(self, key: Hashable, coordinate, *, projection: str = "FLAT", extension: int = 0,
               interpolation: int = 0, associate: bool = False) -> Value:
@@ -249,6 +251,11 @@ class ProgramBuilder:
     def procedural(self, name: str, coordinate, b=0.0, c=0.0) -> Value:
         """Return a texture without an image (codes.PROCEDURAL_*)."""
         return self._add(codes.OP_PROCEDURAL, code("PROCEDURAL", name), (coordinate, b, c))
+
+    def white_noise(self, name: str, dimensions: int, coordinate, w) -> Value:
+        """Return a random number (WHITE_NOISE_1) or colour (WHITE_NOISE_COLOR_1) per coordinate of 1 to 4 dimensions."""
+        sub = code("PROCEDURAL", name) + dimensions - 1
+        return self._add(codes.OP_PROCEDURAL, sub, (coordinate, w, 0.0))
 
     def fresnel(self, name: str, value, normal=0.0) -> Value:
         """Return a weight by viewing angle (codes.FRESNEL_*); normal 0 is the shading normal."""
@@ -414,3 +421,8 @@ def fold(op: int, sub: int, operands: list[Vec4]) -> Vec4 | None:
         # Some of Warp's functions exist in kernels only; the operation then stays in the program.
         return None
     return None
+
+
+def tangent_attribute(uv_map: str) -> str:
+    """Return the name under which a mesh carries a UV map's tangents, if it does: xyz tangent, w bitangent's sign."""
+    return TANGENT_PREFIX + uv_map

@@ -76,7 +76,8 @@ def report_counts(report: Report, owner: str, counts: SanitizeCounts) -> None:
     if counts.degenerate:
         report.add(ReportKind.INFO, "", "triangles without area were left out", counts.degenerate)
     entries = (
-        (ReportKind.SKIPPED, counts.bad_indices, "triangles naming missing vertices were left out; run Mesh > Clean Up"),
+        (ReportKind.SKIPPED, counts.bad_indices,
+         "triangles naming vertices that don't exist were left out; run Mesh > Clean Up"),
         (ReportKind.SKIPPED, counts.non_finite, "triangles with NaN or infinite coordinates were left out"),
         (ReportKind.SKIPPED, counts.too_far, "triangles more than 1e9 m from the object's origin were left out"),
         (ReportKind.APPROXIMATED, counts.normals, "broken corner normals were replaced by face normals"),
@@ -92,12 +93,15 @@ def _classify_triangles(positions: np.ndarray, triangles: np.ndarray) -> tuple[n
     count = len(triangles)
     if count == 0:
         return None, SanitizeCounts()
-    # One comparison catches both ends: a negative index is a huge unsigned one.
-    in_range = (triangles.view(np.uint32) < len(positions)).all(axis=1) if _has_bad_index(positions, triangles) else None
-    usable = triangles if in_range is None else np.where(in_range[:, None], triangles, 0)
     if not len(positions):
         return np.zeros(count, bool), SanitizeCounts(bad_indices=count)
-    finite = near = None
+    in_range = finite = near = None
+    usable = triangles
+    # One comparison catches both ends: a negative index is a huge unsigned one.
+    unsigned = triangles.view(np.uint32)
+    if unsigned.max() >= len(positions):
+        in_range = (unsigned < len(positions)).all(axis=1)
+        usable = np.where(in_range[:, None], triangles, 0)
     # NaN makes the comparison false, infinity too.
     if not np.abs(positions).max() <= COORDINATE_LIMIT:
         vertex_finite = np.isfinite(positions).all(axis=1)
@@ -114,10 +118,6 @@ def _classify_triangles(positions: np.ndarray, triangles: np.ndarray) -> tuple[n
         failed.append(before - int(np.count_nonzero(keep)))
     counts = SanitizeCounts(*failed)
     return (keep if counts.dropped else None), counts
-
-
-def _has_bad_index(positions: np.ndarray, triangles: np.ndarray) -> bool:
-    return bool(triangles.view(np.uint32).max() >= len(positions))
 
 
 def _triangles_with_area(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:

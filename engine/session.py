@@ -248,8 +248,10 @@ class Session:
     def _set_frame(self) -> None:
         if self._camera is not None:
             width, height, crop = self._size
-            self._frame = frame_row(
-                self._camera, width, height, crop, self.settings.sampling.seed, self._scene.origin)
+            origin = self._scene.origin
+            self._frame = frame_row(self._camera, width, height, crop, self.settings.sampling.seed, origin)
+            if self._scene.material_table.uses_camera:
+                self._scene.material_table.set_camera(self._camera, tuple(origin))
 
     def _options(self) -> reference.Options:
         paths, options = self.settings.light_paths, reference.Options()

@@ -18,7 +18,7 @@ from ..kernels.types import Tables
 
 __all__ = ["TABLES_VERSION", "albedo_tables", "compute_tables", "load_tables"]
 
-TABLES_VERSION = 1
+TABLES_VERSION = 2
 """Raise it whenever the tables' meaning or values change."""
 
 NODE_SAMPLES = 4096

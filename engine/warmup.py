@@ -43,7 +43,8 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
             if progress is not None:
                 progress(name, number, len(KERNEL_MODULES))
             try:
-                loaded = wp.get_module(module.__name__).load(wp.get_device(device))
+                # On the CPU Warp launches one thread a block and builds modules for that.
+                loaded = wp.get_module(module.__name__).load(wp.get_device(device), 1 if device == "cpu" else None)
             except Exception as error:
                 raise KernelBuildFailed(f"The kernels '{name}' could not be built for {device}: {error}") from error
             if loaded is None:

@@ -100,7 +100,9 @@ def glass_sample(wo: wp.vec3, alpha: float, eta: float, u: wp.vec2) -> float:
     if reflected[2] > 0.0:
         total += f[0] * kept(lambda_o, reflected, alpha)
     refracted = refract_about(wo, m, eta)
-    if refracted[2] < 0.0:
+    # Cycles' tables count light that a tilted facet refracts to above the surface as kept, though its lobe drops it:
+    # rough glass seen from inside at grazing angles therefore stays darker than white. Theirs is the picture to match.
+    if f[0] < 1.0:
         total += (1.0 - f[0]) * wp.where(wp.abs(eta - 1.0) < SMOOTH_ETA, 1.0, kept(lambda_o, refracted, alpha))
     return total
 

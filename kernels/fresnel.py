@@ -83,7 +83,7 @@ def schlick_weight(f: float, f0: float) -> float:
 
 @wp.func
 def fresnel_generalized_schlick(cos_i: float, eta: float, f0: wp.vec3) -> wp.vec3:
-    """Return the real dielectric curve of `eta`, rescaled to start at f0 (Cycles' generalised Schlick, exponent < 0)."""
+    """Return the real dielectric curve of `eta`, rescaled to start at f0 (Cycles' exponent < 0)."""
     f = fresnel_dielectric(cos_i, eta)
     return mix3(f0, wp.vec3(1.0), schlick_weight(f[0], f0_from_ior(eta)))
 

@@ -152,7 +152,7 @@ def evaluate_specular_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) 
 
 
 @wp.func
-def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3) -> BsdfValue:
+def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) -> BsdfValue:
     """Evaluate diffuse, translucent and sheen; `diffuse` equals `f`, as Cycles counts sheen as diffuse."""
     value = BsdfValue()
     n = bsdf.normal
@@ -168,6 +168,9 @@ def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3) -> BsdfValue:
             pick = bsdf.pick_translucent
             n = -n
             view = wo - n * (2.0 * wp.dot(n, wo))
+            if sampled == LOBE_TRANSLUCENT:
+                # Cycles shades the terminator of sampled reflections, but not of sampled transmissions.
+                shadow = 1.0
         f = oren_nayar(n, view, wi, bsdf.diffuse_a, bsdf.diffuse_b, bsdf.diffuse_multiscatter)
         value.f = wp.cw_mul(weight, f) * shadow
         value.pdf = pick * wp.abs(cos_i) * INV_PI
@@ -183,9 +186,17 @@ def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3) -> BsdfValue:
 
 @wp.func
 def evaluate_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) -> BsdfValue:
-    """Evaluate all lobes; the sampled one is not asked for the smooth normal's side (Cycles, bump_shadowing_term)."""
+    """Evaluate all lobes.
+
+    Args:
+        bsdf: Prepared for `wo`.
+        wo: Unit direction to the viewer.
+        wi: Unit direction to the light.
+        sampled: Lobe that `wi` was drawn from, LOBE_NONE for a light's direction. The smooth normal's side is not
+            asked of it unless it is diffuse (Cycles, bump_shadowing_term and bsdf_sample).
+    """
     specular = evaluate_specular_lobes(bsdf, wo, wi, sampled)
-    diffuse = evaluate_diffuse_lobes(bsdf, wo, wi)
+    diffuse = evaluate_diffuse_lobes(bsdf, wo, wi, sampled)
     value = BsdfValue()
     value.f = specular.f + diffuse.f
     value.diffuse = diffuse.diffuse

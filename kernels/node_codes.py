@@ -216,7 +216,7 @@ INPUT_SCENE_POSITION = wp.constant(25)
 INPUT_SHIFT_X = wp.constant(1 << 8)
 INPUT_SHIFT_Y = wp.constant(2 << 8)
 
-# OP_IMAGE: bits 0-3 projection, 4-5 extension, 6-7 interpolation, 8 multiply the colour by alpha.
+# OP_IMAGE: bits 0-3 projection, 4-5 extension, 6-8 interpolation (8: multiply the colour by alpha), see texture.py.
 PROJECTION_FLAT = wp.constant(0)
 PROJECTION_SPHERE = wp.constant(1)
 PROJECTION_TUBE = wp.constant(2)

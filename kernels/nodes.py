@@ -39,13 +39,11 @@ def extend(v: wp.vec3) -> wp.vec4:
 
 @wp.func
 def image(scene: Scene, sub: int, texture: int, co: wp.vec4) -> wp.vec4:
-    """Sample an image at a coordinate (codes.PROJECTION_*, extension and interpolation in `sub`)."""
+    """Sample an image at a coordinate (see OP_IMAGE in node_codes.py for `sub`)."""
     uv = project_image(sub & 15, co)
-    texel = sample_texture(
-        scene.textures, texture, wp.vec2(uv[0], uv[1]), uv[2], (sub >> 4) & 3, (sub >> 6) & 3)
-    if (sub & codes.IMAGE_ASSOCIATE) != 0:
-        texel = wp.vec4(texel[0] * texel[3], texel[1] * texel[3], texel[2] * texel[3], texel[3])
-    return texel
+    # Interpolation and association lie side by side, as sample_texture takes them.
+    return sample_texture(
+        scene.textures, texture, wp.vec2(uv[0], uv[1]), uv[2], (sub >> 4) & 3, (sub >> 6) & 7)
 
 
 @wp.func

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -29,6 +30,16 @@ def preview(name: str, directory: Path, samples: int, percentage: int) -> None:
     bpy.ops.render.render(write_still=True)
 
 
+def register_burnish() -> Callable[[], None]:
+    """Register Burnish if it is installed, so that the files can name it; return what undoes that."""
+    try:
+        burnish = importlib.import_module("burnish")
+    except ImportError:
+        return lambda: None
+    burnish.register()
+    return burnish.unregister
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Build the named scenes (all by default), save them, and render previews if asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -42,6 +53,15 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown:
         parser.error(f"There is no sample named {unknown[0]!r}; the samples are {', '.join(NAMES)}.")
     sys.path.insert(0, str(HERE))
+    unregister = register_burnish()
+    try:
+        return make(options)
+    finally:
+        unregister()
+
+
+def make(options: argparse.Namespace) -> int:
+    """Build and save the scenes; return the exit status."""
     parts = importlib.import_module("parts")
     for name in options.names or NAMES:
         importlib.import_module(name).build()

@@ -16,6 +16,7 @@ ENGINE = 'BURNISH'
 EXCLUDED_PANELS = {
     'DATA_PT_falloff_curve', 'DATA_PT_light', 'DATA_PT_preview', 'DATA_PT_spot', 'NODE_DATA_PT_light',
     'NODE_DATA_PT_spot', 'OBJECT_PT_visibility', 'RENDER_PT_freestyle', 'VIEWLAYER_PT_freestyle',
+    'RENDER_PT_simplify', 'RENDER_PT_simplify_viewport', 'RENDER_PT_simplify_render',
     'RENDER_PT_simplify_greasepencil', 'MATERIAL_PT_freestyle_line',
 }
 

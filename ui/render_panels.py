@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the render tab: sampling, light paths, film, performance."""
+"""Panels of the render tab: device, sampling, light paths, simplification, film, performance."""
 
 from __future__ import annotations
 
@@ -95,6 +95,26 @@ class BURNISH_RENDER_PT_light_paths_clamping(BurnishPanel, Panel):
         column.prop(paths, "clamp_indirect", text="Indirect Light")
 
 
+class BURNISH_RENDER_PT_simplify(BurnishPanel, Panel):
+    """Blender's own simplification, which it applies before the scene is read."""
+
+    bl_label = "Simplify"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw_header(self, context: Any) -> None:
+        """Draw the switch."""
+        self.layout.prop(context.scene.render, "use_simplify", text="")
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, render = self.split_layout(), context.scene.render
+        layout.active = render.use_simplify
+        for heading, suffix in (("Viewport", ""), ("Render", "_render")):
+            column = layout.column(heading=heading)
+            column.prop(render, f"simplify_subdivision{suffix}", text="Max Subdivision")
+            column.prop(render, f"simplify_child_particles{suffix}", text="Child Particles")
+
+
 class BURNISH_RENDER_PT_film(BurnishPanel, Panel):
     """How samples become pixels."""
 
@@ -172,6 +192,7 @@ classes = (
     BURNISH_RENDER_PT_sampling_advanced,
     BURNISH_RENDER_PT_light_paths,
     BURNISH_RENDER_PT_light_paths_clamping,
+    BURNISH_RENDER_PT_simplify,
     BURNISH_RENDER_PT_film,
     BURNISH_RENDER_PT_film_filter,
     BURNISH_RENDER_PT_performance,

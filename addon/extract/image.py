@@ -99,27 +99,26 @@ class _Space:
 class ImageCollector:
     """Collects the images that materials use; remembers between updates what has been handed over."""
 
-    def __init__(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, report: Report | None = None) -> None:
+    def __init__(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene) -> None:
         self._known: dict[Key, tuple] = {}
-        self.begin(depsgraph_or_scene, report)
+        self._reports: dict[Key, Report] = {}
+        self.begin(depsgraph_or_scene)
 
-    def begin(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, report: Report | None = None, *,
-              full: bool = False) -> None:
+    def begin(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, *, full: bool = False) -> None:
         """Start an update: forget its predecessor's images, but not which ones were handed over.
 
         Args:
             depsgraph_or_scene: Gives the frame; a depsgraph also tells which images were painted on. With a scene,
                 painted and generated images count as changed.
-            report: Receives what is approximated; a new one if None.
             full: Hand everything over again.
         """
-        self.report = report if report is not None else Report()
         self._images: dict[Key, ImageData] = {}
         self._jobs: dict[Key, Callable[[], ImageData]] = {}
         self._seen: set[Key] = set()
         self._touched: set[int] | None = None
         if full:
             self._known.clear()
+            self._reports.clear()
         scene = depsgraph_or_scene
         if isinstance(depsgraph_or_scene, bpy.types.Depsgraph):
             scene = depsgraph_or_scene.scene
@@ -131,11 +130,17 @@ class ImageCollector:
     @property
     def images(self) -> dict[Key, ImageData]:
         """New and changed images of this update, by key. Waits for packed files to be read."""
-        if self._jobs:
-            jobs, self._jobs = self._jobs, {}
-            with ThreadPoolExecutor(min(len(jobs), os.cpu_count() or 1, THREADS_MAX)) as pool:
-                self._images |= dict(zip(jobs, pool.map(lambda job: job(), jobs.values()), strict=True))
+        self._finish_jobs()
         return self._images
+
+    @property
+    def report(self) -> Report:
+        """What is approximated in the images known so far, whether they changed in this update or before."""
+        merged = Report()
+        self._finish_jobs()
+        for part in self._reports.values():
+            merged.merge(part)
+        return merged
 
     def key(self, image: bpy.types.Image, image_user: bpy.types.ImageUser | None = None) -> Key:
         """Return the key of an image (a sequence: of its current frame), and record its data if that changed."""
@@ -153,13 +158,21 @@ class ImageCollector:
         if self._known.get(key) == signature and not touched:
             return key
         self._known[key] = signature
+        told = self._reports[key] = Report()
         if in_blender:
-            self._images[key] = self._from_blender(image, space)
+            self._images[key] = _from_blender(image, space, told)
         elif len(image.packed_files):
-            self._from_memory(key, image, space)
+            self._from_memory(key, image, space, told)
         else:
-            self._from_file(key, image, path, space)
+            self._from_file(key, image, path, space, told)
         return key
+
+    def _finish_jobs(self) -> None:
+        """Read what is to be read, several at a time."""
+        jobs, self._jobs = self._jobs, {}
+        if jobs:
+            with ThreadPoolExecutor(min(len(jobs), os.cpu_count() or 1, THREADS_MAX)) as pool:
+                self._images |= dict(zip(jobs, pool.map(lambda job: job(), jobs.values()), strict=True))
 
     def _signature(self, image: bpy.types.Image, path: str, space: _Space) -> tuple:
         """Return what changes when an image's content or meaning does; painting is seen by the depsgraph."""
@@ -167,83 +180,100 @@ class ImageCollector:
         if path and not len(image.packed_files) and os.path.isfile(path):
             status = os.stat(path)
             stamp = (status.st_mtime_ns, status.st_size)
-        packed = tuple(file.size for file in image.packed_files)
+        packed = tuple(file.packed_file.size for file in image.packed_files)
         generated = (image.generated_type, *image.size, tuple(image.generated_color)) \
             if image.source == "GENERATED" else ()
         return path, stamp, packed, generated, image.source, image.is_dirty, image.alpha_mode, space
 
-    def _from_file(self, key: Key, image: bpy.types.Image, path: str, space: _Space) -> None:
+    def _from_file(self, key: Key, image: bpy.types.Image, path: str, space: _Space, told: Report) -> None:
         """Name a file, or have it read where its colours must be converted."""
         exists = any(token in path for token in TILE_TOKENS) or os.path.isfile(path)
         if space.encoding is None and exists:
-            mode, name, config = AlphaMode(image.alpha_mode), image.name, ocio_config()
-            self._jobs[key] = lambda: self._read(name, lambda: read_file(path), mode, space, config, path=path)
+            job = _Job(image.name, AlphaMode(image.alpha_mode), space, ocio_config(), told, path=path)
+            self._jobs[key] = job.run
             return
         self._images[key] = ImageData(
             name=image.name, path=path or None, encoding=space.encoding or ColorEncoding.SRGB,
             source_colorspace=space.name, alpha_mode=AlphaMode(image.alpha_mode), missing=not exists)
 
-    def _from_memory(self, key: Key, image: bpy.types.Image, space: _Space) -> None:
+    def _from_memory(self, key: Key, image: bpy.types.Image, space: _Space, told: Report) -> None:
         """Have a packed file read; where the system can't, let Blender read it."""
         if image.source == "TILED" and len(image.packed_files) > 1:
-            self._tell(image.name, "has UDIM tiles, of which only the first is drawn, on all of them")
+            _tell(told, image.name, "has UDIM tiles, of which only the first is drawn, on all of them")
         if not can_read_bytes():
-            self._images[key] = self._from_blender(image, space)
+            self._images[key] = _from_blender(image, space, told)
             return
-        data, mode, name, config = image.packed_files[0].data, AlphaMode(image.alpha_mode), image.name, ocio_config()
-        self._jobs[key] = lambda: self._read(name, lambda: read_bytes(data), mode, space, config)
+        data = image.packed_files[0].packed_file.data
+        self._jobs[key] = _Job(image.name, AlphaMode(image.alpha_mode), space, ocio_config(), told, data=data).run
 
-    def _read(self, name: str, read: Callable[[], FilePixels], mode: AlphaMode, space: _Space, config: str,
-              path: str | None = None) -> ImageData:
-        """Read an image and convert its colours if need be. Runs in a thread: touches nothing of Blender's."""
+
+@dataclass
+class _Job:
+    """An image file to be read in a thread: holds nothing of Blender's."""
+
+    name: str
+    mode: AlphaMode
+    space: _Space
+    config: str
+    told: Report
+    path: str | None = None
+    data: bytes | None = None
+
+    def run(self) -> ImageData:
+        """Read the image and convert its colours if need be."""
         try:
-            picture = read()
+            picture = read_file(self.path) if self.data is None else read_bytes(self.data)
         except (ImageUnreadable, MemoryError):
-            return ImageData(name=name, path=path or "its packed file", missing=True)
+            return ImageData(name=self.name, path=self.path or "the packed file", missing=True)
         if picture.cmyk:
-            self._tell(name, "is CMYK, converted to RGB without its colour profile")
-        if path and mode in (AlphaMode.STRAIGHT, AlphaMode.PREMUL):
+            _tell(self.told, self.name, "is CMYK, converted to RGB without its colour profile")
+        mode = self.mode
+        if self.path and mode in (AlphaMode.STRAIGHT, AlphaMode.PREMUL):
             # A file on disk says itself whether it is premultiplied; of packed ones Blender's setting decides.
             mode = AlphaMode.STRAIGHT if picture.straight else AlphaMode.PREMUL
-        return self._finish(name, picture, mode, space, config)
+        return _finish(self.name, picture, mode, self.space, self.config, self.told)
 
-    def _finish(self, name: str, picture: FilePixels, mode: AlphaMode, space: _Space, config: str) -> ImageData:
-        """Return ImageData of pixels, converted to the working space if they need it."""
-        pixels, encoding, space_name = picture.pixels, space.encoding, space.name
-        if encoding is None:
-            straight = FilePixels(pixels, picture.has_alpha, mode is not AlphaMode.PREMUL)
-            converted = to_linear(straight, space.name, space.working, config) if config else None
-            if converted is None:
-                encoding = ColorEncoding.SRGB if pixels.dtype == np.uint8 else ColorEncoding.LINEAR
-                self._tell(name, f"is in colour space '{space.name}', which could not be converted: read as "
-                                 f"{'sRGB' if encoding is ColorEncoding.SRGB else 'linear'}")
-            else:
-                pixels, encoding, space_name = converted, ColorEncoding.LINEAR, space.working
-        return ImageData(name=name, pixels=pixels, encoding=encoding, source_colorspace=space_name, alpha_mode=mode)
 
-    def _from_blender(self, image: bpy.types.Image, space: _Space) -> ImageData:
-        """Copy the pixels that Blender holds."""
-        if image.source == "MOVIE":
-            self._tell(image.name, "is a movie, drawn as a still picture")
-        mode, loaded = AlphaMode(image.alpha_mode), image.has_data
-        width, height = image.size
-        if min(width, height) < 1 or len(image.pixels) != width * height * image.channels:
-            return ImageData(name=image.name, path="its pixels", missing=True)
-        values = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(values)
-        pixels = np.ascontiguousarray(values.reshape(height, width, image.channels)[::-1])
-        is_float = image.is_float
-        if not loaded and not image.is_dirty:
-            image.buffers_free()
-        if is_float:
-            if not space.is_data:
-                space = _Space(space.working, space.working)
-                mode = AlphaMode.PREMUL if mode is AlphaMode.STRAIGHT else mode
+def _finish(name: str, picture: FilePixels, mode: AlphaMode, space: _Space, config: str, told: Report) -> ImageData:
+    """Return ImageData of pixels, converted to the working space if they need it."""
+    pixels, encoding, space_name = picture.pixels, space.encoding, space.name
+    if encoding is None:
+        straight = FilePixels(pixels, picture.has_alpha, mode is not AlphaMode.PREMUL)
+        converted = to_linear(straight, space.name, space.working, config) if config else None
+        if converted is None:
+            encoding = ColorEncoding.SRGB if pixels.dtype == np.uint8 else ColorEncoding.LINEAR
+            kind = "sRGB" if encoding is ColorEncoding.SRGB else "linear"
+            _tell(told, name, f"is in colour space '{space.name}', which could not be converted: read as {kind}")
         else:
-            np.multiply(pixels, 255.0, out=pixels)
-            pixels = np.rint(pixels, out=pixels).astype(np.uint8)
-            mode = AlphaMode.STRAIGHT if mode is AlphaMode.PREMUL else mode
-        return self._finish(image.name, FilePixels(pixels, image.channels in (2, 4), False), mode, space, ocio_config())
+            pixels, encoding, space_name = converted, ColorEncoding.LINEAR, space.working
+    return ImageData(name=name, pixels=pixels, encoding=encoding, source_colorspace=space_name, alpha_mode=mode)
 
-    def _tell(self, name: str, message: str) -> None:
-        self.report.add(ReportKind.APPROXIMATED, f"image '{name}'", message)
+
+def _from_blender(image: bpy.types.Image, space: _Space, told: Report) -> ImageData:
+    """Copy the pixels that Blender holds."""
+    if image.source == "MOVIE":
+        _tell(told, image.name, "is a movie, drawn as a still picture")
+    mode, loaded = AlphaMode(image.alpha_mode), image.has_data
+    width, height = image.size
+    if min(width, height) < 1 or len(image.pixels) != width * height * image.channels:
+        return ImageData(name=image.name, path="what Blender holds of it", missing=True)
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    pixels = np.ascontiguousarray(values.reshape(height, width, image.channels)[::-1])
+    is_float = image.is_float
+    if not loaded and not image.is_dirty:
+        image.buffers_free()
+    if is_float:
+        if not space.is_data:
+            space = _Space(space.working, space.working)
+            mode = AlphaMode.PREMUL if mode is AlphaMode.STRAIGHT else mode
+    else:
+        np.multiply(pixels, 255.0, out=pixels)
+        pixels = np.rint(pixels, out=pixels).astype(np.uint8)
+        mode = AlphaMode.STRAIGHT if mode is AlphaMode.PREMUL else mode
+    picture = FilePixels(pixels, pixels.shape[2] in (2, 4), False)
+    return _finish(image.name, picture, mode, space, ocio_config(), told)
+
+
+def _tell(told: Report, name: str, message: str) -> None:
+    told.add(ReportKind.APPROXIMATED, f"image '{name}'", message)

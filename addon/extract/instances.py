@@ -167,8 +167,7 @@ def object_random_id(name: str) -> int:
     mask = 0xFFFFFFFF
     text = 0
     for byte in name.encode():
-        # Bytes are signed there.
-        text = (text * 37 + (byte if byte < 128 else byte - 256)) & mask
+        text = (text * 37 + byte) & mask
     a = b = c = (0xDEADBEEF + (2 << 2) + 13) & mask
     a = (a + text) & mask
     # The last step of Bob Jenkins' lookup3.
@@ -225,7 +224,8 @@ class _Walk:
             return
         for system in owner.particle_systems:
             if system.settings.type == 'HAIR' and system.settings.render_type == 'PATH':
-                self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'", "particle hair is not drawn in this version")
+                self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'",
+                                "particle hair is not drawn in this version")
 
     def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object, name: str) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""

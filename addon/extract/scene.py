@@ -15,7 +15,6 @@ import bpy
 
 from ...engine.report import Report
 from ...engine.scene import (
-    ImageData,
     InstanceTable,
     LightData,
     MaterialData,
@@ -24,6 +23,7 @@ from ...engine.scene import (
     WorldData,
 )
 from .changes import Changes, MeshKeys, mark_moved, read_changes, same_fields, same_lights, same_table
+from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances
 from .light import extract_light
 from .mesh import extract_mesh
@@ -95,7 +95,7 @@ class SceneExtractor:
         self._world: WorldData | None = None
         self._world_uid: int | None = None
         self._world_report = Report()
-        self._images: dict[Hashable, ImageData] = {}
+        self._images: ImageCollector | None = None
         self._walk_report = Report()
 
     def refresh(self) -> None:
@@ -161,7 +161,7 @@ class SceneExtractor:
         if not changes:
             return
         callbacks.step("Reading the scene", 0.0)
-        images = _image_collector(depsgraph)
+        images = self._begin_images(depsgraph, delta.full)
         if changes.everything or changes.instances or changes.materials or changes.images:
             self._walk_report = Report()
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
@@ -171,7 +171,15 @@ class SceneExtractor:
             self._extract_lights(delta, gathered, changes)
             self._extract_materials(delta, gathered, changes, images, callbacks)
         self._extract_world(delta, depsgraph, changes, images)
-        self._extract_images(delta, images, changes)
+        callbacks.step("Reading images", 1.0)
+        delta.images = images.images
+        self.counts.images = len(delta.images)
+
+    def _begin_images(self, depsgraph: bpy.types.Depsgraph, full: bool) -> ImageCollector:
+        if self._images is None:
+            self._images = ImageCollector(depsgraph)
+        self._images.begin(depsgraph, full=full)
+        return self._images
 
     def _extract_meshes(self, delta: SceneDelta, gathered: Gathered, changes: Changes,
                         callbacks: _Callbacks) -> None:
@@ -240,7 +248,7 @@ class SceneExtractor:
             self._light_factors[uid] = (extract_light_factor(light, light_report), light_report)
         return self._light_factors[uid][0]
 
-    def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: object,
+    def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: ImageCollector,
                            callbacks: _Callbacks) -> None:
         from .material import extract_material
 
@@ -261,7 +269,7 @@ class SceneExtractor:
         self._materials = kept
 
     def _extract_world(self, delta: SceneDelta, depsgraph: bpy.types.Depsgraph, changes: Changes,
-                       images: object) -> None:
+                       images: ImageCollector) -> None:
         from .material import extract_world
 
         world = depsgraph.view_layer_eval.world_override or depsgraph.scene_eval.world
@@ -279,6 +287,8 @@ class SceneExtractor:
         """Hand over what is true of the scene now, also where it was not read again."""
         report.merge(self._walk_report)
         parts = [*self._mesh_reports.values(), self._world_report]
+        if self._images is not None:
+            parts.append(self._images.report)
         parts += [part for _, part in self._light_factors.values()] + [part for _, part in self._materials.values()]
         for part in parts:
             report.merge(part)

@@ -15,7 +15,7 @@ from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import Change
 
 CHANNELS = {"Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
-            "IndexOB": 1, "IndexMA": 1}
+            "Object Index": 1, "Material Index": 1}
 
 
 class FakeSession:
@@ -95,7 +95,10 @@ class FakeExtractor:
     def __init__(self):
         self.first = True
 
-    def extract(self, depsgraph, *, viewport, report, progress=None, cancelled=None):
+    def refresh(self):
+        self.first = True
+
+    def extract(self, depsgraph, *, viewport, report, progress=None, cancelled=None, space=None):
         if FakeExtractor.fail_in_extract:
             raise KeyError("made to fail in extract")
         report.add(ReportKind.APPROXIMATED, "material 'Floor'", "Noise Texture replaced by its mean")

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("addon", "engine", "kernels", "ui")
 MAX_LINES = 400
 
-BLENDER = {"bpy", "bpy_extras", "bl_ui", "bl_operators", "gpu", "gpu_extras", "idprop", "mathutils", "nodeitems_utils",
-           "rna_prop_ui"}
+BLENDER = {"bpy", "bpy_extras", "bl_ui", "bl_operators", "blf", "gpu", "gpu_extras", "idprop", "imbuf", "mathutils",
+           "nodeitems_utils", "rna_prop_ui"}
 OUTSIDE = {
     "kernels": {"warp"},
     "engine": {"warp", "numpy"},

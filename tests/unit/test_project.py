@@ -14,6 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (".ci", "addon", "engine", "kernels", "sample_blends", "tests", "ui")
+IGNORED = {"__pycache__", ".ruff_cache", ".pytest_cache", ".venv.lock"}
 TEXT = {".md", ".py", ".toml", ".txt", ".json", ".yaml", ".yml", ""}
 
 REGISTRIES = ("pypi" + ".org", "pythonhosted" + ".org", "npmjs" + ".org", "crates" + ".io", "debian" + ".org")
@@ -24,7 +25,7 @@ def text_files() -> list[Path]:
     """Return the project's text files (not what builds leave behind)."""
     inner = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]
     return [path for path in [*ROOT.iterdir(), *inner]
-            if path.is_file() and path.suffix in TEXT and "__pycache__" not in path.parts and path.name != ".venv.lock"]
+            if path.is_file() and path.suffix in TEXT and not IGNORED & set(path.parts)]
 
 
 def read_toml(name: str) -> dict:

@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extraction tests' scripts start with in the child process, and how their result comes back."""
+"""What the extraction tests' scripts use in the child process: an empty scene and ways to fill and extract it."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-from collections.abc import Callable
+import warnings
 
-PREAMBLE = r'''
-import json, warnings
 import bpy
 import numpy as np
-warnings.simplefilter("ignore", DeprecationWarning)
-from burnish.addon.extract.scene import SceneExtractor, ExtractionCancelled
+
+from burnish.addon.extract.scene import ExtractionCancelled, SceneExtractor
 from burnish.engine.report import Report
 from burnish.engine.scene import Visibility
 
+__all__ = ["ExtractionCancelled", "Report", "SceneExtractor", "Viewport", "Visibility", "bpy", "extract_all", "finish",
+           "instance_grid", "link", "material", "names", "node_group", "np", "quad_mesh"]
+
+warnings.simplefilter("ignore", DeprecationWarning)
 bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
@@ -73,10 +74,12 @@ class Viewport:
     """Extracts whenever Blender evaluates the scene, as a viewport's view_update does."""
 
     def __init__(self):
+        """Start listening."""
         self.extractor, self.delta, self.report = SceneExtractor(), None, None
         bpy.app.handlers.depsgraph_update_post.append(self.update)
 
     def update(self, scene, depsgraph):
+        """Extract; called by Blender."""
         self.report = Report()
         self.delta = self.extractor.extract(depsgraph, viewport=True, report=self.report)
 
@@ -101,12 +104,3 @@ def names(table):
 def finish(**result):
     """Hand the result to the test."""
     print("RESULT " + json.dumps(result))
-'''
-
-
-def evaluate(run_python: Callable[..., subprocess.CompletedProcess], script: str) -> dict:
-    """Run PREAMBLE and `script` in a child process and return what it gave to `finish`."""
-    process = run_python(PREAMBLE + script)
-    lines = [line for line in process.stdout.splitlines() if line.startswith("RESULT ")]
-    assert process.returncode == 0 and lines, process.stdout + process.stderr
-    return json.loads(lines[-1][7:])

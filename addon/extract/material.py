@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials, worlds and lamps' node trees to programs of the node machine.
+
+Trees are read through bpy.types.InlineShaderNodes, which resolves groups, reroutes, muted nodes and zones. Never
+raises for what a tree contains: what isn't drawn is named in the report. Main thread only; keeps nothing of bpy.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
+from ...engine.report import Report, ReportKind
+from ...engine.scene import MaterialData, Visibility, WorldData
+from . import node_inputs, node_maths, node_textures  # noqa: F401  (they register their translators)
+from .node_graph import Graph
+from .node_shaders import add_shader
+
+__all__ = ["extract_light_factor", "extract_material", "extract_world"]
+
+RESOLUTION_SMOOTH = 256
+RESOLUTION_MIN = 512
+RESOLUTION_MAX = 4096
+
+# Linear Rec.709 to other working spaces (ITU-R BT.2087; ACES AP1 with Bradford adaptation).
+FROM_REC709 = {
+    "Linear Rec.2020": ((0.627404, 0.329283, 0.043313), (0.069097, 0.919540, 0.011362), (0.016391, 0.088013, 0.895595)),
+    "ACEScg": ((0.613097, 0.339523, 0.047380), (0.070194, 0.916354, 0.013452), (0.020616, 0.109570, 0.869815)),
+}
+
+
+def make_graph(tree, images, report: Report, owner: str, *, world: bool = False) -> Graph:
+    """Return a graph over an inlined tree, ready to compile in the file's working space."""
+    graph = Graph(tree, ProgramBuilder(), images, report, owner, world=world)
+    space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
+    graph.from_rec709 = FROM_REC709.get(space)
+    return graph
+
+
+def output_node(tree):
+    """Return the output that Cycles would use, or None."""
+    return tree.get_output_node('CYCLES')
+
+
+def extract_material(material: bpy.types.Material, images, report: Report) -> MaterialData:
+    """Compile a material.
+
+    Args:
+        material: Evaluated material.
+        images: ImageCollector: `key(image, image_user)` names an image and records its data.
+        report: Receives what is approximated or left out.
+    """
+    owner = f"material '{material.name}'"
+    data = MaterialData(name=material.name, program=Program(), pass_index=material.pass_index)
+    settings = getattr(material, "cycles", None)
+    data.emission_sampling = getattr(settings, "emission_sampling", 'AUTO') != 'NONE'
+    if material.node_tree is None:
+        builder = ProgramBuilder()
+        builder.closure("DIFFUSE", 1.0, color=tuple(material.diffuse_color)[:3])
+        data.program = builder.finish()
+        return data
+    # The tree dies with its wrapper: the variable keeps it alive.
+    inlined = bpy.types.InlineShaderNodes.from_material(material)
+    graph = make_graph(inlined.node_tree, images, report, owner)
+    try:
+        compile_surface(graph, material, output_node(inlined.node_tree))
+        data.program = graph.builder.finish()
+    except (RegisterOverflow, RecursionError) as error:
+        report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
+        graph.builder = ProgramBuilder()
+        graph.builder.closure("DIFFUSE", 1.0, color=tuple(material.diffuse_color)[:3])
+        data.program = graph.builder.finish()
+    data.has_transparency = graph.builder.has_transparency()
+    data.has_emission = graph.builder.has_emission()
+    data.constant_emission = graph.builder.constant_emission() if data.has_emission else None
+    return data
+
+
+def compile_surface(graph: Graph, material: bpy.types.Material, output) -> None:
+    """Add everything that the Surface socket of an output leads to; name what else is linked."""
+    if output is None:
+        return
+    if graph.is_linked(output, "Volume"):
+        graph.report.add(ReportKind.SKIPPED, graph.owner, "has a volume, which is not drawn")
+    if graph.is_linked(output, "Displacement"):
+        graph.normal = displacement_normal(graph, material, output)
+    source = graph.source(output, "Surface")
+    if source is None:
+        return
+    if source[1].type == 'SHADER':
+        add_shader(graph, source[0], graph.builder.constant(1.0))
+    else:
+        # A colour plugged into a shader socket emits, as in Blender.
+        graph.builder.emit(graph.convert(graph.output(*source), source[1].type, 'RGBA'), 1.0, 1.0)
+
+
+def displacement_normal(graph: Graph, material: bpy.types.Material, output) -> Value:
+    """Return the normal bent by the displacement's height; the surface itself stays where it is."""
+    method = material.displacement_method
+    node, _ = graph.source(output, "Displacement")
+    if method != 'BUMP':
+        graph.report.add(
+            ReportKind.APPROXIMATED, graph.owner, "has true displacement, which is drawn as bump mapping alone")
+    if node.bl_idname != "ShaderNodeDisplacement":
+        graph.tell(node, "drives the displacement and is not followed", ReportKind.SKIPPED)
+        return graph.normal
+    build = graph.builder
+    height = build.math("SUBTRACT", graph.value(node, "Height"), graph.value(node, "Midlevel"))
+    return build.bump(build.math("MULTIPLY", height, graph.value(node, "Scale")), 1.0, 1.0, 0.1)
+
+
+def extract_world(world: bpy.types.World | None, images, report: Report) -> WorldData:
+    """Compile a world; None is black. Arguments as for `extract_material`."""
+    if world is None:
+        return WorldData(name="", program=Program(), constant=(0.0, 0.0, 0.0), importance_resolution=RESOLUTION_SMOOTH)
+    data = WorldData(name=world.name, program=Program(), importance_resolution=RESOLUTION_SMOOTH)
+    owner = f"world '{world.name}'"
+    if world.node_tree is None:
+        data.constant = tuple(world.color)
+        builder = ProgramBuilder()
+        builder.emit(data.constant, 1.0, 1.0)
+        data.program = builder.finish()
+        return data
+    inlined = bpy.types.InlineShaderNodes.from_world(world)
+    graph = make_graph(inlined.node_tree, images, report, owner, world=True)
+    output = output_node(inlined.node_tree)
+    try:
+        source = graph.source(output, "Surface") if output is not None else None
+        if source is not None:
+            add_shader(graph, source[0], graph.builder.constant(1.0))
+        data.program = graph.builder.finish()
+    except (RegisterOverflow, RecursionError) as error:
+        report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
+        graph.builder = ProgramBuilder()
+        graph.builder.emit(tuple(world.color), 1.0, 1.0)
+        data.program = graph.builder.finish()
+    if output is not None and graph.is_linked(output, "Volume"):
+        report.add(ReportKind.SKIPPED, owner, "has a volume, which is not drawn")
+    data.constant = graph.builder.constant_emission()
+    if graph.widths:
+        data.importance_resolution = min(max(max(graph.widths), RESOLUTION_MIN), RESOLUTION_MAX)
+    apply_world_settings(data, world)
+    return data
+
+
+def apply_world_settings(data: WorldData, world: bpy.types.World) -> None:
+    """Copy Cycles' settings of the world: sampling and ray visibility."""
+    settings = getattr(world, "cycles", None)
+    if getattr(settings, "sampling_method", 'AUTOMATIC') == 'MANUAL':
+        data.importance_resolution = min(max(settings.sample_map_resolution, 64), RESOLUTION_MAX)
+    data.sampling = getattr(settings, "sampling_method", 'AUTOMATIC') != 'NONE'
+    visibility = getattr(world, "cycles_visibility", None)
+    if visibility is None:
+        return
+    for name, bit in (("camera", Visibility.CAMERA), ("diffuse", Visibility.DIFFUSE), ("glossy", Visibility.GLOSSY),
+                      ("transmission", Visibility.TRANSMISSION), ("scatter", Visibility.VOLUME)):
+        if not getattr(visibility, name, True):
+            data.visibility &= ~int(bit)
+
+
+def extract_light_factor(light: bpy.types.Light, report: Report) -> tuple[float, float, float]:
+    """Return colour times strength of a lamp's node tree where it is constant, else 1 with a report entry."""
+    if light.node_tree is None or not getattr(light, "use_nodes", True):
+        return 1.0, 1.0, 1.0
+    owner = f"light '{light.name}'"
+    inlined = bpy.types.InlineShaderNodes.from_light(light)
+    graph = make_graph(inlined.node_tree, None, report, owner)
+    output = output_node(inlined.node_tree)
+    source = graph.source(output, "Surface") if output is not None else None
+    if source is None:
+        return 0.0, 0.0, 0.0
+    try:
+        add_shader(graph, source[0], graph.builder.constant(1.0))
+    except (AttributeError, RecursionError):
+        report.add(ReportKind.APPROXIMATED, owner, "has an image or too many nodes in its tree, which is ignored")
+        return 1.0, 1.0, 1.0
+    factor = graph.builder.constant_emission()
+    if factor is None:
+        report.add(
+            ReportKind.APPROXIMATED, owner, "has a node tree that varies over space or rays; it shines with factor 1")
+        return 1.0, 1.0, 1.0
+    return factor

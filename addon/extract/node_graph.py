@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Walks an inlined node tree and hands its nodes to the translators of the sibling files.
+
+A Graph knows links, socket types and conversions between them; what a node means is in the functions registered
+with `translates`. Nothing here raises for odd input: what can't be followed becomes the socket's default value and
+one entry of the report.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from ...engine.program import ProgramBuilder, Value
+from ...engine.report import Report, ReportKind
+
+__all__ = ["Graph", "translates"]
+
+Translator = Callable[["Graph", Any, str], Value]
+
+TRANSLATORS: dict[str, Translator] = {}
+"""By bl_idname: (graph, node, identifier of the output) to its value"""
+
+MEAN_VALUE = 0.5
+"""Stands in for what isn't evaluated"""
+
+
+def translates(*names: str) -> Callable[[Translator], Translator]:
+    """Register a function as the translator of node types."""
+
+    def register(function: Translator) -> Translator:
+        for name in names:
+            TRANSLATORS[name] = function
+        return function
+
+    return register
+
+
+class Graph:
+    """One node tree being compiled."""
+
+    def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False):
+        """Index the links of `tree`.
+
+        Args:
+            tree: Inlined node tree; its wrapper must stay alive as long as the graph.
+            builder: Receives the operations.
+            images: Image collector, `key(image, image_user)`.
+            report: Receives what can't be followed.
+            owner: Name of the data-block for messages.
+            world: Whether the tree is seen from directions instead of surface points.
+        """
+        self.builder = builder
+        self.images = images
+        self.report = report
+        self.owner = owner
+        self.world = world
+        self.tree = tree
+        self.normal: Value = builder.constant(0.0)
+        """Normal of shaders without one: 0 is the shading normal"""
+        self.from_rec709: tuple | None = None
+        """Rows of the matrix from Rec.709 to the working space, None where that is Rec.709"""
+        self.widths: list[int] = []
+        """Widths of panoramas met, for the world's sampling table"""
+        self.links = {
+            (link.to_node.name, link.to_socket.identifier): (link.from_node, link.from_socket)
+            for link in tree.links if link.is_valid and not link.is_muted
+        }
+        self.outputs_used = {
+            (link.from_node.name, link.from_socket.identifier) for link in tree.links if not link.is_muted}
+        self.results: dict[tuple[str, str], Value] = {}
+
+    # Messages.
+
+    def tell(self, node, message: str, kind: ReportKind = ReportKind.APPROXIMATED) -> None:
+        """Add a report entry about a node."""
+        # Inlining puts a number before each name.
+        name = re.sub(r"^\d+_", "", node.name)
+        self.report.add(kind, self.owner, f"node '{name}' {message}")
+
+    # Sockets.
+
+    def source(self, node, identifier: str):
+        """Return (node, socket) linked to an input, or None."""
+        return self.links.get((node.name, identifier))
+
+    def is_linked(self, node, identifier: str) -> bool:
+        """Return whether an input is linked."""
+        return (node.name, identifier) in self.links
+
+    def is_used(self, node, identifier: str) -> bool:
+        """Return whether anything is linked to an output."""
+        return (node.name, identifier) in self.outputs_used
+
+    def default(self, node, identifier: str, fallback: Any = 0.0) -> Any:
+        """Return an input's own value as float or tuple, `fallback` where the node has no such input."""
+        socket = find(node.inputs, identifier)
+        if socket is None or not hasattr(socket, "default_value"):
+            return fallback
+        value = socket.default_value
+        return float(value) if isinstance(value, (bool, int, float)) else tuple(float(x) for x in value)
+
+    def value(self, node, identifier: str, fallback: Any = 0.0) -> Value:
+        """Return an input: what is linked to it, converted to its type, else its own value."""
+        link = self.source(node, identifier)
+        socket = find(node.inputs, identifier)
+        if link is None or socket is None:
+            default = self.default(node, identifier, fallback)
+            return self.builder.constant(default[:3] if isinstance(default, tuple) else default)
+        return self.convert(self.output(*link), link[1].type, socket.type)
+
+    def linked_or(self, node, identifier: str, otherwise: Callable[[], Value]) -> Value:
+        """Return an input, or `otherwise()` where nothing is linked to it."""
+        return self.value(node, identifier) if self.is_linked(node, identifier) else otherwise()
+
+    def convert(self, value: Value, source: str, target: str) -> Value:
+        """Return a value as another socket type takes it."""
+        if target in ("VALUE", "INT", "BOOLEAN"):
+            if source == "RGBA":
+                return self.builder.luminance(value)
+            if source in ("VECTOR", "ROTATION"):
+                return self.builder.vector("AVERAGE", value)
+        if target == "INT" and source == "VALUE":
+            return self.builder.math("TRUNC", value)
+        return value
+
+    def output(self, node, socket) -> Value:
+        """Return the value of a node's output."""
+        key = (node.name, socket.identifier)
+        if key not in self.results:
+            translator = TRANSLATORS.get(node.bl_idname)
+            if translator is None:
+                self.results[key] = self.stand_in(node, socket)
+            else:
+                self.results[key] = translator(self, node, socket.identifier)
+        return self.results[key]
+
+    def stand_in(self, node, socket) -> Value:
+        """Return a constant for an output of a node that isn't evaluated, and say so."""
+        self.tell(node, f"is not evaluated; {MEAN_VALUE} stands in for its output")
+        if socket.type == "VECTOR":
+            return self.builder.constant(0.0)
+        return self.builder.constant(MEAN_VALUE)
+
+
+def find(sockets, identifier: str):
+    """Return the socket of an identifier, or None."""
+    return next((socket for socket in sockets if socket.identifier == identifier), None)

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Translates texture nodes: images, panoramas, and patterns."""
+
+from __future__ import annotations
+
+from mathutils import Euler, Matrix
+
+from ...engine.program import Value
+from .node_graph import MEAN_VALUE, Graph, translates
+from .node_inputs import is_identity
+
+__all__: list[str] = []
+
+EXTENSIONS = {'REPEAT': 0, 'EXTEND': 1, 'CLIP': 2, 'MIRROR': 3}
+INTERPOLATIONS = {'Linear': 0, 'Closest': 1, 'Cubic': 2, 'Smart': 2}
+PROJECTIONS = {'FLAT': "FLAT", 'SPHERE': "SPHERE", 'TUBE': "TUBE"}
+
+
+def coordinate(graph: Graph, node, default: str) -> Value:
+    """Return a texture's coordinate: its input, or UV or GENERATED, through the node's own mapping."""
+    build = graph.builder
+
+    def unlinked() -> Value:
+        if default == "UV":
+            return build.constant(0.0) if graph.world else build.uv("")
+        return build.input(default)
+
+    vector = build.rgb(graph.linked_or(node, "Vector", unlinked))
+    mapping = node.texture_mapping
+    axes = (mapping.mapping_x, mapping.mapping_y, mapping.mapping_z)
+    if axes != ('X', 'Y', 'Z') or mapping.use_min or mapping.use_max:
+        graph.tell(node, "has an old texture mapping with swapped axes or limits, which are ignored")
+    stretch = Matrix.Diagonal((*mapping.scale, 1.0))
+    matrix = Matrix.Translation(mapping.translation) @ Euler(mapping.rotation, 'XYZ').to_matrix().to_4x4() @ stretch
+    rows = [tuple(row) for row in matrix][:3]
+    return vector if is_identity(rows) else build.transform(rows, vector)
+
+
+@translates("ShaderNodeTexImage")
+def image_node(graph: Graph, node, output: str) -> Value:
+    """Image Texture; its colour is multiplied by alpha unless the Alpha output is used, as in Cycles."""
+    build = graph.builder
+    if node.image is None:
+        return build.constant(0.0)
+    if node.interpolation in ('Cubic', 'Smart'):
+        graph.tell(node, "asks for cubic interpolation; it is drawn with linear interpolation")
+    options = {
+        "extension": EXTENSIONS[node.extension], "interpolation": INTERPOLATIONS[node.interpolation],
+        "associate": not graph.is_used(node, "Alpha"),
+    }
+    key = graph.images.key(node.image, node.image_user)
+    if node.projection == 'BOX':
+        return box(graph, node, key, options, output)
+    texel = build.image(key, coordinate(graph, node, "UV"), projection=PROJECTIONS[node.projection], **options)
+    return build.component(texel, 3) if output == "Alpha" else texel
+
+
+def box(graph: Graph, node, key, options: dict, output: str) -> Value:
+    """Return an image projected along the three axes of the object, blended by its normal."""
+    build = graph.builder
+    place, normal = coordinate(graph, node, "UV"), build.input("OBJECT_NORMAL")
+    weights = build.vector("BOX_WEIGHTS", normal, node.projection_blend)
+    total = build.constant(0.0)
+    for side in range(3):
+        texel = build.image(key, build.vector("BOX_UV", place, normal, float(side)), **options)
+        part = build.component(texel, 3) if output == "Alpha" else build.rgb(texel)
+        total = build.vector("MULTIPLY_ADD", part, build.component(weights, side), total)
+    return total
+
+
+@translates("ShaderNodeTexEnvironment")
+def environment_node(graph: Graph, node, output: str) -> Value:
+    """Environment Texture."""
+    build = graph.builder
+    if node.image is None:
+        return build.constant(0.0)
+    graph.widths.append(node.image.size[0])
+    projection = "MIRROR_BALL" if node.projection == 'MIRROR_BALL' else "EQUIRECTANGULAR"
+    return build.image(
+        graph.images.key(node.image, node.image_user), coordinate(graph, node, "POSITION"), projection=projection,
+        extension=EXTENSIONS['EXTEND'] if projection == "MIRROR_BALL" else EXTENSIONS['REPEAT'],
+        interpolation=INTERPOLATIONS[node.interpolation], associate=True)
+
+
+def scaled(graph: Graph, node) -> Value:
+    """Return a pattern's coordinate times its scale."""
+    return graph.builder.vector("MULTIPLY", coordinate(graph, node, "GENERATED"), graph.value(node, "Scale"))
+
+
+@translates("ShaderNodeTexChecker")
+def checker_node(graph: Graph, node, output: str) -> Value:
+    """Checker Texture."""
+    build = graph.builder
+    factor = build.procedural("CHECKER", scaled(graph, node))
+    if output == "Fac":
+        return factor
+    return build.mix("MIX", factor, graph.value(node, "Color2"), graph.value(node, "Color1"))
+
+
+@translates("ShaderNodeTexGradient")
+def gradient_node(graph: Graph, node, output: str) -> Value:
+    """Gradient Texture."""
+    return graph.builder.procedural("GRADIENT_" + node.gradient_type, coordinate(graph, node, "GENERATED"))
+
+
+@translates("ShaderNodeTexWhiteNoise")
+def white_noise_node(graph: Graph, node, output: str) -> Value:
+    """White Noise Texture."""
+    build = graph.builder
+    count = int(node.noise_dimensions[0])
+    w = graph.value(node, "W")
+    vector = w if count == 1 else build.rgb(graph.linked_or(node, "Vector", lambda: build.input("GENERATED")))
+    kind = "WHITE_NOISE_COLOR_1" if output == "Color" else "WHITE_NOISE_1"
+    return build.white_noise(kind, count, vector, w)
+
+
+@translates("ShaderNodeTexNoise")
+def noise_node(graph: Graph, node, output: str) -> Value:
+    """Noise Texture: fractal noise in three dimensions; other kinds have the same look but other values."""
+    build = graph.builder
+    kind = "NOISE_COLOR" if output == "Color" else "NOISE"
+    if node.noise_type != 'FBM' or node.noise_dimensions != '3D':
+        graph.tell(node, f"is {node.noise_dimensions} {node.noise_type} noise; 3D FBM noise is drawn instead")
+    place = scaled(graph, node)
+    if node.noise_dimensions == '1D':
+        place = build.combine(build.math("MULTIPLY", graph.value(node, "W"), graph.value(node, "Scale")), 0.0, 0.0)
+    octaves = build.combine(*(graph.value(node, name) for name in ("Detail", "Roughness", "Lacunarity")))
+    normalize = 1.0 if node.normalize or node.noise_type != 'FBM' else 0.0
+    return build.procedural(kind, place, octaves, build.combine(graph.value(node, "Distortion"), normalize, 0.0))
+
+
+@translates("ShaderNodeTexWave")
+def wave_node(graph: Graph, node, output: str) -> Value:
+    """Wave Texture: a phase along an axis or a radius, plus noise, through a profile."""
+    build = graph.builder
+    place = scaled(graph, node)
+    # Keeps whole coordinates off the profile's jumps.
+    nudged = build.vector("SCALE", build.vector("ADD", place, 0.000001), 0.0, 0.999999)
+    bands = node.wave_type == 'BANDS'
+    axis = node.bands_direction if bands else node.rings_direction
+    if bands and axis == 'DIAGONAL':
+        phase = build.math("MULTIPLY", build.vector("DOT_PRODUCT", nudged, 1.0), 10.0)
+    elif bands:
+        phase = build.math("MULTIPLY", build.component(nudged, "XYZ".index(axis)), 20.0)
+    else:
+        kept = [0.0 if letter == axis else 1.0 for letter in "XYZ"]
+        phase = build.math("MULTIPLY", build.vector("LENGTH", build.vector("MULTIPLY", nudged, kept)), 20.0)
+    phase = build.math("ADD", phase, graph.value(node, "Phase Offset"))
+    distortion = graph.value(node, "Distortion")
+    if distortion.constant is None or distortion.constant[0] != 0.0:
+        octaves = build.combine(graph.value(node, "Detail"), graph.value(node, "Detail Roughness"), 2.0)
+        finer = build.vector("MULTIPLY", nudged, graph.value(node, "Detail Scale"))
+        noise = build.procedural("NOISE", finer, octaves, build.combine(0.0, 1.0, 0.0))
+        swing = build.math("MULTIPLY_ADD", noise, 2.0, -1.0)
+        phase = build.math("MULTIPLY_ADD", swing, distortion, phase)
+    return build.procedural("WAVE", phase, float(('SIN', 'SAW', 'TRI').index(node.wave_profile)))
+
+
+@translates("ShaderNodeTexMagic")
+def magic_node(graph: Graph, node, output: str) -> Value:
+    """Magic Texture."""
+    build = graph.builder
+    params = build.combine(float(node.turbulence_depth), graph.value(node, "Distortion"), 0.0)
+    color = build.procedural("MAGIC", scaled(graph, node), params)
+    return build.vector("AVERAGE", color) if output == "Fac" else color
+
+
+@translates("ShaderNodeTexBrick")
+def brick_node(graph: Graph, node, output: str) -> Value:
+    """Brick Texture: tint per brick between two colours, mortar by the distance to the edge."""
+    build = graph.builder
+    bricks = build.procedural(
+        "BRICK", scaled(graph, node),
+        (node.offset, float(node.offset_frequency), node.squash),
+        build.combine(
+            float(node.squash_frequency), graph.value(node, "Brick Width"), graph.value(node, "Row Height")))
+    edge = build.component(bricks, 1)
+    joint = build.procedural(
+        "BRICK_MORTAR", edge, build.combine(graph.value(node, "Mortar Size"), graph.value(node, "Mortar Smooth"), 0.0))
+    if output == "Fac":
+        return joint
+    tint = build.math("CLAMP", build.math("ADD", build.component(bricks, 0), graph.value(node, "Bias")), 0.0, 1.0)
+    color = build.mix("MIX", tint, graph.value(node, "Color1"), graph.value(node, "Color2"))
+    return build.mix("MIX", joint, color, graph.value(node, "Mortar"))
+
+
+@translates("ShaderNodeTexVoronoi", "ShaderNodeTexGabor")
+def unevaluated_node(graph: Graph, node, output: str) -> Value:
+    """Patterns that aren't computed: their mean."""
+    graph.tell(node, f"is not computed; the mean value {MEAN_VALUE} stands in for it")
+    return graph.builder.constant(MEAN_VALUE)
+
+
+@translates("ShaderNodeTexSky")
+def sky_node(graph: Graph, node, output: str) -> Value:
+    """Sky Texture: a plain blue."""
+    graph.tell(node, "is not computed: a plain blue without a sun stands in for the sky")
+    return graph.builder.constant((0.25, 0.4, 0.7))

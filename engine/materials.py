@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All programs on the device: resolves the names in them and concatenates them into the node machine's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping
+
+import numpy as np
+import warp as wp
+
+from ..kernels import node_codes as codes
+from ..kernels.types import (
+    MATERIAL_CONSTANT_EMISSION,
+    MATERIAL_EMISSION,
+    MATERIAL_TRANSPARENCY,
+    Material,
+    Materials,
+)
+from .program import TANGENT_PREFIX, Program, ProgramBuilder
+from .program_layout import OPERANDS, Instruction
+from .scene import CameraData, CameraKind, MaterialData
+
+__all__ = ["MaterialTable", "attribute_names", "default_material", "uv_map_names"]
+
+END = (codes.OP_END, 0, 0, 0)
+
+
+def default_material() -> MaterialData:
+    """Return the material of slots without one: Cycles' default surface, a Diffuse BSDF of 0.8."""
+    builder = ProgramBuilder()
+    builder.closure("DIFFUSE", 1.0, color=0.8)
+    return MaterialData(name="Default", program=builder.finish())
+
+
+def uv_map_names(programs: Iterable[Program]) -> list[str]:
+    """Return all UV maps that the programs read, sorted; the empty name is the active render map."""
+    return sorted({name for program in programs for name in program.uv_maps})
+
+
+def attribute_names(programs: Iterable[Program]) -> list[str]:
+    """Return all attributes that the programs read, sorted; the empty name is the active colour attribute.
+
+    Tangents (program.tangent_attribute) are not among them: they are optional.
+    """
+    return sorted({
+        name for program in programs for name in program.attributes if not name.startswith(TANGENT_PREFIX)})
+
+
+class MaterialTable:
+    """The materials and the world of one session, as kernels.types.Materials (all but `instance_materials`).
+
+    Material 0 is always the default one (key None).
+    """
+
+    def __init__(self, device: str) -> None:
+        """Start with the default material and a black world on `device`."""
+        self.device = device
+        self.uses_camera = False
+        """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
+        self.indices: dict[Hashable, int] = {}
+        self.bytes = 0
+        self.build({}, None, lambda key: 0, lambda name: -1, lambda name: -1)
+
+    def index(self, key: Hashable) -> int:
+        """Return a material's index, that of the default material for unknown keys."""
+        return self.indices.get(key, 0)
+
+    def build(
+        self,
+        materials: Mapping[Hashable, MaterialData],
+        world: Program | None,
+        image_index: Callable[[Hashable], int],
+        uv_map_index: Callable[[str], int],
+        attribute_index: Callable[[str], int],
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Build all arrays anew.
+
+        Args:
+            materials: Materials by key.
+            world: The world's program, None for black.
+            image_index: Returns the texture of an image key.
+            uv_map_index: Returns the id of a UV map's name (columns of Geometry.uv_offsets), -1 where no mesh has it.
+            attribute_index: The same for attributes.
+            origin: What the host subtracted from all world coordinates.
+        """
+        table = _Table(image_index, uv_map_index, attribute_index)
+        table.constants[codes.CONSTANT_ORIGIN] = (*origin, 0.0)
+        everything = {None: default_material(), **materials}
+        self.indices = {key: row for row, key in enumerate(everything)}
+        records = np.zeros(len(everything), dtype=Material.numpy_dtype())
+        self.uses_camera = world is not None and world.uses_camera
+        for row, data in enumerate(everything.values()):
+            base = table.add_tables(data.program)
+            records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)
+            records[row]["transparency_start"] = table.add_code(data.program.transparency, data.program, base)
+            records[row]["emission_start"] = table.add_code(data.program.emission, data.program, base)
+            records[row]["flags"] = material_flags(data)
+            records[row]["emission"] = data.constant_emission or (0.0, 0.0, 0.0)
+            records[row]["pass_index"] = data.pass_index
+            self.uses_camera |= data.program.uses_camera
+        world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
+        self._upload(table, records, world_start)
+
+    def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
+        """Copy everything to the device."""
+        code = np.array(table.code, dtype=np.int32)
+        constants = np.array(table.constants, dtype=np.float32)
+        ramps = np.frombuffer(b"".join(table.ramps), dtype=np.float32).reshape(-1, 4)
+        if not len(ramps):
+            ramps = np.zeros((1, 4), dtype=np.float32)
+        self._materials = wp.array(records, dtype=Material, device=self.device)
+        self._code = wp.array(code, dtype=wp.vec4i, device=self.device)
+        self._constants = wp.array(constants, dtype=wp.vec4, device=self.device)
+        self._ramps = wp.array(ramps, dtype=wp.vec4, device=self.device)
+        self._world_start = world_start
+        self.bytes = records.nbytes + code.nbytes + constants.nbytes + ramps.nbytes
+
+    def set_camera(self, camera: CameraData, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        """Tell the programs where the camera is; needed before rendering where `uses_camera`.
+
+        Args:
+            camera: The camera.
+            origin: The scene's origin, as given to `build`.
+        """
+        matrix = np.array(camera.transform, dtype=np.float64).reshape(4, 4)
+        matrix[:3, 3] -= origin
+        rows = np.linalg.inv(matrix)[:3]
+        rows[2] *= -1.0  # z forward, as Cycles has it
+        orthographic = float(camera.kind == CameraKind.ORTHOGRAPHIC)
+        block = np.vstack([rows, camera.window, (orthographic, 0.0, 0.0, 0.0)]).astype(np.float32)
+        source = wp.array(block, dtype=wp.vec4, device=self.device)
+        wp.copy(self._constants, source, dest_offset=codes.CONSTANT_CAMERA, count=len(block))
+
+    def struct(self) -> Materials:
+        """Return the device arrays; the caller adds `instance_materials`."""
+        materials = Materials()
+        materials.materials = self._materials
+        materials.code = self._code
+        materials.constants = self._constants
+        materials.ramps = self._ramps
+        materials.world_start = self._world_start
+        return materials
+
+
+def material_flags(data: MaterialData) -> int:
+    """Return the MATERIAL_* bits of a material."""
+    flags = MATERIAL_TRANSPARENCY if data.has_transparency else 0
+    if data.has_emission:
+        flags |= MATERIAL_EMISSION
+        flags |= MATERIAL_CONSTANT_EMISSION if data.constant_emission is not None else 0
+    return flags
+
+
+class _Table:
+    """The growing arrays, and the resolvers of names."""
+
+    def __init__(self, image_index: Callable, uv_map_index: Callable, attribute_index: Callable) -> None:
+        self.image_index = image_index
+        self.uv_map_index = uv_map_index
+        self.attribute_index = attribute_index
+        self.code: list[Instruction] = [END]
+        self.constants: list[tuple[float, ...]] = [(0.0, 0.0, 0.0, 0.0)] * codes.CONSTANT_FIRST
+        # An identity camera until set_camera is called.
+        self.constants[codes.CONSTANT_CAMERA:codes.CONSTANT_CAMERA + 3] = [
+            (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0)]
+        self.constants[codes.CONSTANT_WINDOW] = (-0.5, 0.5, -0.5, 0.5)
+        self.zero = -1 - len(self.constants)
+        self.constants.append((0.0, 0.0, 0.0, 0.0))
+        self.ramps: list[bytes] = []
+        self.ramp_rows: dict[bytes, int] = {}
+
+    def add_tables(self, program: Program) -> int:
+        """Append a program's constants and ramps; return the index of its first constant."""
+        base = len(self.constants)
+        self.constants.extend(program.constants)
+        for ramp in program.ramps:
+            if ramp not in self.ramp_rows:
+                self.ramp_rows[ramp] = len(self.ramps) * codes.RAMP_SIZE
+                self.ramps.append(ramp)
+        return base
+
+    def add_code(self, instructions: tuple[Instruction, ...], program: Program, base: int) -> int:
+        """Append a program's instructions, resolved; return where they start. Empty programs share one place."""
+        if not instructions:
+            return 0
+        start = len(self.code)
+        self.code.extend(self.resolve(instruction, program, base) for instruction in instructions)
+        self.code.append(END)
+        return start
+
+    def resolve(self, instruction: Instruction, program: Program, base: int) -> Instruction:
+        """Return an instruction with operands and immediates that index the arrays."""
+        op = instruction[0] & 255
+        count = OPERANDS[op]
+        head = instruction[0]
+        words = [word - base if word < 0 and i < count else word for i, word in enumerate(instruction[1:])]
+        if op == codes.OP_IMAGE:
+            words[1] = self.image_index(program.images[words[1]])
+        elif op == codes.OP_TRANSFORM:
+            words[1] = base + words[1] if words[1] >= 0 else -1 - words[1]
+        elif op == codes.OP_RAMP:
+            words[1] = self.ramp_rows[program.ramps[words[1]]]
+        elif op == codes.OP_NORMAL_MAP and words[2] != 0:
+            uv_map = self.uv_map_index(program.uv_maps[(words[2] & 65535) - 1])
+            tangent = self.attribute_index(program.attributes[(words[2] >> 16) - 1])
+            words[2] = uv_map + 1 | tangent + 1 << 16
+        elif op == codes.OP_INPUT:
+            return self.resolve_input(head, words, program)
+        return head, *words
+
+    def resolve_input(self, head: int, words: list[int], program: Program) -> Instruction:
+        """Return an input instruction with the ids of what it names; what no mesh has becomes 0."""
+        kind = head >> 16 & 255
+        if kind == codes.INPUT_TANGENT_UV:
+            uv_map = self.uv_map_index(program.uv_maps[words[1]])
+            return head, words[0], uv_map, self.attribute_index(program.attributes[words[2]])
+        if kind not in (codes.INPUT_UV, codes.INPUT_ATTRIBUTE):
+            return head, *words
+        if kind == codes.INPUT_UV:
+            index = self.uv_map_index(program.uv_maps[words[1]])
+        else:
+            name = program.attributes[words[1]]
+            index = self.attribute_index(name)
+            if index < 0 and name and self.uv_map_index(name) >= 0:
+                # Blender lets attribute nodes name UV maps.
+                index = self.uv_map_index(name)
+                head = head - (codes.INPUT_ATTRIBUTE << 16) + (codes.INPUT_UV << 16)
+        if index < 0:
+            out = head & 0xFF00
+            return codes.OP_VECTOR | out | codes.VECTOR_XYZ << 16, self.zero, self.zero, self.zero
+        return head, words[0], index, 0

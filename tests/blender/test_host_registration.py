@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Registration with Blender: complete, clean, repeatable; and properties that agree with the settings."""
+
+from __future__ import annotations
+
+SNAPSHOT = """
+import bpy, burnish
+
+def snapshot():
+    handlers = {name: len(value) for name in dir(bpy.app.handlers)
+                if isinstance(value := getattr(bpy.app.handlers, name), list)}
+    engines = {panel.__name__: 'BURNISH' in panel.COMPAT_ENGINES for panel in bpy.types.Panel.__subclasses__()
+               if hasattr(panel, "COMPAT_ENGINES") and not panel.__name__.startswith("BURNISH_")}
+    ours = {name for name in dir(bpy.types) if "BURNISH" in name.upper()}
+    return handlers, {name for name, on in engines.items() if on}, ours, hasattr(bpy.types.Scene, "burnish")
+"""
+
+
+def run(run_python, script: str):
+    """Run a script and check that it ends well."""
+    result = run_python(SNAPSHOT + script + "\nprint('done')")
+    assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
+    assert "Error" not in result.stderr, result.stderr
+    return result
+
+
+def test_unregister_leaves_nothing(run_python):
+    """Leave no class, property, handler or panel behind, twice in a row."""
+    run(run_python, """
+before = snapshot()
+for _ in range(2):
+    burnish.register()
+    during = snapshot()
+    assert during[3] and len(during[2]) > 20 and len(during[1]) > 150, during
+    burnish.unregister()
+    assert snapshot() == before, (snapshot(), before)
+""")
+
+
+def test_engine_can_be_chosen(run_python):
+    """Offer the engine, and survive its removal while a scene uses it."""
+    run(run_python, """
+burnish.register()
+bpy.context.scene.render.engine = 'BURNISH'
+burnish.unregister()
+burnish.register()
+bpy.context.scene.render.engine = 'BURNISH'
+burnish.unregister()
+""")
+
+
+def test_properties_agree_with_the_settings(run_python):
+    """Give every setting a property with its default, range and help; read back as the settings' defaults."""
+    run(run_python, """
+import enum
+from dataclasses import fields, is_dataclass
+from burnish.engine.settings import RenderSettings
+burnish.register()
+from burnish.addon.extract.settings import settings_from_scene
+from burnish.ui.properties import ELSEWHERE
+scene = bpy.context.scene
+
+def check(group, settings):
+    for field in fields(settings):
+        default = getattr(settings, field.name)
+        if is_dataclass(default):
+            check(getattr(group, field.name), default)
+        elif field.name not in ELSEWHERE.get(type(settings), ()):
+            prop = group.bl_rna.properties[field.name]
+            if isinstance(default, enum.Enum):
+                assert prop.default == default.name and all(item.description for item in prop.enum_items), field.name
+                assert {item.identifier for item in prop.enum_items} == set(type(default).__members__)
+            elif not isinstance(default, bool):
+                assert abs(prop.default - default) < 1e-6, field.name
+                assert abs(prop.hard_min - field.metadata["low"]) <= 1e-6 * max(1, prop.hard_min), field.name
+            assert prop.description == field.metadata["help"].removesuffix("."), field.name
+
+check(scene.burnish, RenderSettings())
+read = settings_from_scene(scene, viewport=False)
+assert abs(read.performance.frame_time - 0.05) < 1e-6
+import dataclasses
+performance = dataclasses.replace(read.performance, frame_time=RenderSettings().performance.frame_time)
+assert dataclasses.replace(read, performance=performance) == RenderSettings()
+scene.burnish.film.pixel_filter = 'GAUSSIAN'
+scene.burnish.light_paths.max_bounces = 7
+read = settings_from_scene(scene, viewport=False)
+assert read.film.pixel_filter.value == "gaussian" and read.light_paths.max_bounces == 7
+burnish.unregister()
+""")
+
+
+def test_all_panels_name_real_properties(run_python):
+    """Draw every panel over a recording layout: each property and operator that a panel names exists."""
+    run(run_python, """
+from types import SimpleNamespace
+burnish.register()
+from burnish.ui import data_panels, render_panels, report_panels, shading_panels
+from burnish.addon import report
+from burnish.engine.report import Report, ReportKind
+entries = Report()
+entries.add(ReportKind.SKIPPED, "material 'Floor'", "x", 3)
+entries.add(ReportKind.INFO, "", "y")
+report.publish("Render", entries, [("Triangles", "3")])
+drawn = []
+
+class Layout:
+    def prop(self, data, name, **options):
+        assert name in data.bl_rna.properties, (data, name)
+        drawn.append(name)
+    def operator(self, name, **options):
+        module, function = name.split(".")
+        getattr(getattr(bpy.ops, module), function).get_rna_type()
+        return SimpleNamespace()
+    def label(self, text="", **options): assert isinstance(text, str)
+    def separator(self): pass
+    def template_preview(self, data): pass
+    def template_node_view(self, tree, node, socket): drawn.append(node.name)
+    def row(self, **options): return Layout()
+    column = box = split = row
+
+bpy.ops.mesh.primitive_cube_add()
+cube = bpy.context.object
+material = bpy.data.materials.new("Floor")
+scene = bpy.context.scene
+scene.render.engine = 'BURNISH'
+lamps = [bpy.data.lights.new(kind, kind) for kind in ('POINT', 'SUN', 'SPOT', 'AREA')]
+lamps[3].shape = 'RECTANGLE'
+shading = SimpleNamespace(type='RENDERED', bl_rna=bpy.types.View3DShading.bl_rna)
+for light in lamps:
+    context = SimpleNamespace(scene=scene, light=light, object=cube, material=material, world=scene.world,
+                              view_layer=scene.view_layers[0], engine='BURNISH',
+                              space_data=SimpleNamespace(shading=shading))
+    for module in (data_panels, render_panels, report_panels, shading_panels):
+        for panel in module.classes:
+            if panel.poll(context):
+                instance = SimpleNamespace(layout=Layout())
+                instance.split_layout = lambda layout=instance.layout: layout
+                if hasattr(panel, "_draw_shape"):
+                    instance._draw_shape = panel._draw_shape
+                panel.draw(instance, context)
+assert {"samples", "energy", "size_y", "spot_size", "angle", "use_pass_emit", "visible_shadow"} <= set(drawn), drawn
+burnish.unregister()
+""")
+
+
+def test_select_and_diagnostics_operators(run_python):
+    """Select all users of a reported material; diagnostics name the versions."""
+    run(run_python, """
+burnish.register()
+bpy.ops.mesh.primitive_cube_add()
+cube = bpy.context.object
+material = bpy.data.materials.new("It's")
+cube.data.materials.append(material)
+bpy.ops.object.select_all(action='DESELECT')
+assert bpy.ops.burnish.select_owner(owner="material 'It's'") == {'FINISHED'}
+assert bpy.context.selected_objects == [cube]
+assert bpy.ops.burnish.select_owner(owner=f"object '{bpy.context.scene.camera.name}'") == {'FINISHED'}
+assert bpy.context.selected_objects == [bpy.context.scene.camera]
+assert bpy.ops.burnish.select_owner(owner="everything") == {'CANCELLED'}
+from burnish.addon.services import diagnostics_text
+text = diagnostics_text()
+for word in ("Blender: ", "Warp: ", "NumPy: ", "OpenImageIO: ", "Device: "):
+    assert word in text, text
+assert "not usable" not in text, text
+burnish.unregister()
+""")
+
+
+def test_importing_the_engine_loads_no_bpy(run_python):
+    """Import the package and its engine without bpy."""
+    result = run_python("import sys, burnish, burnish.addon, burnish.engine.session\n"
+                        "assert 'bpy' not in sys.modules; print('done')")
+    assert result.stdout.strip() == "done", result.stderr

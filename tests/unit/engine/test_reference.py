@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the path tracer and the device scene: energy, structures, transparency, updates, determinism."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from burnish.engine.scene import SceneDelta, Visibility
+from burnish.engine.session import Session
+from burnish.engine.settings import FilmSettings, RenderSettings, SamplingSettings
+
+from tests import scenes
+
+
+def room(albedo):
+    """Make a closed box that emits 1 and reflects `albedo`."""
+    return scenes.delta({"box": scenes.box(1.0, inward=True)}, [("box", np.eye(4), "wall")],
+                        {"wall": scenes.emitter(1.0, albedo)})
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.9])
+def test_closed_furnace(albedo):
+    """Find radiance e / (1 - albedo) everywhere in a closed emitting box: every bounce counts."""
+    image = scenes.render(room(albedo), scenes.camera_above(height=0.5, half=0.3, orthographic=False), samples=256)
+    np.testing.assert_allclose(image[..., :3].mean(dtype=np.float64), 1 / (1 - albedo), rtol=0.01)
+
+
+def test_bounce_limit():
+    """Stop after max_bounces reflections."""
+    image = scenes.render(room(0.5), scenes.camera_above(height=0.5, half=0.3, orthographic=False), max_bounces=1)
+    np.testing.assert_allclose(image[..., :3].mean(dtype=np.float64), 1.5, rtol=0.01)
+
+
+def field(count=9):
+    """Make many spheres over a plane, as (meshes, objects, materials)."""
+    meshes = {"ball": scenes.sphere(0.3, rings=12), "plane": scenes.quad(3.0)}
+    objects = [("plane", np.eye(4), "grey")]
+    for i in range(count):
+        matrix = scenes.place(x=-1.5 + 0.4 * i, y=0.3 * (i % 3 - 1), z=0.4)
+        matrix[0, 1] = 0.3  # sheared
+        matrix[1, 1] = -1.0 if i % 2 else 1.0  # mirrored
+        objects.append(("ball", matrix, "red" if i % 2 else "clear"))
+    materials = {"grey": scenes.material(color=0.6), "red": scenes.material(color=(0.8, 0.2, 0.1)),
+                 "clear": scenes.transparent(0.4, color=0.7)}
+    return meshes, objects, materials
+
+
+def render_field(threshold, always, monkeypatch):
+    """Render the field flattened or in two levels."""
+    monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", always)
+    meshes, objects, materials = field()
+    lamp = scenes.lamp("AREA", 30.0, scenes.place(z=2.5), shape="SQUARE", size_x=1.0,
+                       visibility=int(Visibility.ALL & ~Visibility.CAMERA))
+    settings = dataclasses.replace(
+        scenes.SETTINGS, performance=dataclasses.replace(scenes.SETTINGS.performance, instancing_threshold=threshold))
+    return scenes.render(scenes.delta(meshes, objects, materials, [lamp], 0.2), scenes.camera_above(half=1.8),
+                         (32, 32), 16, settings, passes=("Combined", "Depth", "Normal"))
+
+
+def test_two_levels_match_one(monkeypatch):
+    """Render the same picture from instances under a Bvh as from one flattened mesh."""
+    flat, flat_session = render_field(1e6, 1 << 20, monkeypatch)
+    levels, levels_session = render_field(1.0, 0, monkeypatch)
+    assert "two levels" in levels_session.stats.structure and "two levels" not in flat_session.stats.structure
+    np.testing.assert_allclose(levels_session.read("Depth"), flat_session.read("Depth"), rtol=1e-4)
+    np.testing.assert_allclose(levels_session.read("Normal"), flat_session.read("Normal"), atol=1e-3)
+    close = np.isclose(levels, flat, rtol=1e-3, atol=1e-4).all(-1)
+    assert close.mean() > 0.97, "paths differ only where rounding changes a hit"
+    np.testing.assert_allclose(levels.mean(), flat.mean(), rtol=2e-3)
+
+
+def test_moving_an_object_matches_a_full_build():
+    """Move an object out of the flattened structure and get the picture of a fresh build, without its mesh again."""
+    meshes, objects, materials = field()
+    moved = list(objects)
+    moved[4] = ("ball", scenes.place(x=0.5, y=-1.2, z=0.5), "red")
+    camera = scenes.camera_above(half=1.8)
+    session = Session(scenes.SETTINGS)
+    session.update(scenes.delta(meshes, objects, materials, background=1.0))
+    session.configure(scenes.SETTINGS, camera, 32, 32)
+    session.step(4)
+    before = session.read()
+    session.update(SceneDelta(instances=scenes.instances(moved)))
+    assert "moving" in session.stats.structure and session.samples_done == 0
+    session.step(4)
+    fresh = scenes.render(scenes.delta(meshes, moved, materials, background=1.0), camera, (32, 32), 4)
+    assert np.isclose(session.read(), fresh, rtol=1e-3, atol=1e-4).all(-1).mean() > 0.98
+    assert not np.allclose(before, fresh, atol=1e-2)
+
+
+def test_editing_a_mesh_and_a_material():
+    """Take over a changed mesh and a changed material without sending the rest again."""
+    session = Session(scenes.SETTINGS)
+    session.update(scenes.delta({"plane": scenes.quad(2.0)}, [("plane", np.eye(4), "grey")],
+                                {"grey": scenes.material(color=0.6)}, background=1.0))
+    session.configure(scenes.SETTINGS, scenes.camera_above(half=1.0), 8, 8, passes=("Combined", "Depth"))
+    session.step(64)
+    np.testing.assert_allclose(session.read()[..., 0].mean(), 0.6, rtol=0.02)
+    session.update(SceneDelta(materials={"grey": scenes.material(color=0.3)}))
+    session.step(64)
+    np.testing.assert_allclose(session.read()[..., 0].mean(), 0.3, rtol=0.02)
+    session.update(SceneDelta(meshes={"plane": scenes.quad(2.0, z=1.0)}))
+    session.step(1)
+    np.testing.assert_allclose(session.read("Depth"), 2.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("weight", [0.25, 0.75])
+def test_transparency_in_camera_bounce_and_shadow_rays(weight):
+    """See through and light through a stack of transparent squares by the product of their transparencies."""
+    meshes = {"plane": scenes.quad(20.0)}
+    objects = [("plane", np.eye(4), "grey"), ("plane", scenes.place(z=1.0), "veil"),
+               ("plane", scenes.place(z=1.5), "veil")]
+    materials = {"grey": scenes.material(color=0.5), "veil": scenes.transparent(weight, color=0.0)}
+    sun = scenes.lamp("SUN", np.pi)
+    camera = scenes.camera_above(half=0.1, height=3.0)
+    image = scenes.render(scenes.delta(meshes, objects, materials, [sun]), camera, samples=1024)
+    np.testing.assert_allclose(image[..., 0].mean(dtype=np.float64), 0.5 * weight**4, rtol=0.03)
+
+
+def test_ray_visibility():
+    """Hide an object from the camera yet keep its shadow, and the reverse."""
+    meshes = {"plane": scenes.quad(20.0), "lid": scenes.quad(5.0)}
+    materials = {"grey": scenes.material(color=0.5), "black": scenes.material(color=0.0)}
+    sun = scenes.lamp("SUN", np.pi)
+    camera = scenes.camera_above(half=0.1)
+
+    def shot(visibility):
+        objects = [("plane", np.eye(4), "grey"), ("lid", scenes.place(z=1.0), "black", int(visibility))]
+        return scenes.render(scenes.delta(meshes, objects, materials, [sun]), camera, samples=8)[..., 0].mean()
+
+    assert shot(Visibility.ALL & ~Visibility.CAMERA) == 0.0
+    np.testing.assert_allclose(shot(Visibility.ALL & ~Visibility.CAMERA & ~Visibility.SHADOW), 0.5, rtol=1e-3)
+    assert shot(Visibility.ALL & ~Visibility.SHADOW) == 0.0
+
+
+def test_film_transparent_and_holdout():
+    """Leave alpha 0 where the world or a holdout shows, 1 on objects."""
+    settings = dataclasses.replace(scenes.SETTINGS, film=FilmSettings(transparent=True))
+    objects = [("plane", scenes.place(x=-2.0), "grey"), ("plane", scenes.place(x=2.0), "grey",
+                                                         int(Visibility.ALL | Visibility.HOLDOUT))]
+    image = scenes.render(
+        scenes.delta({"plane": scenes.quad(1.0)}, objects, {"grey": scenes.material(color=0.5)}, background=1.0),
+        scenes.camera_above(half=3.0), (30, 30), 4, settings)
+    alpha = image[15, :, 3]
+    assert alpha[5] == 1.0 and alpha[15] == 0.0 and alpha[25] == 0.0
+    assert (image[15, 15, :3] == 0).all() and image[15, 5, 0] > 0.4
+
+
+def test_same_seed_same_bits(monkeypatch):
+    """Render the same bits for any number of threads, and others for another seed."""
+    camera = scenes.camera_above(height=0.5, half=0.3, orthographic=False)
+    pictures = []
+    for threads in (1, 2):
+        monkeypatch.setattr("burnish.engine.device.thread_count", lambda count=threads: count)
+        pictures.append(scenes.render(room(0.7), camera, (96, 96), 3))
+    assert (pictures[0] == pictures[1]).all()
+    other = RenderSettings(device=scenes.SETTINGS.device, film=scenes.SETTINGS.film, sampling=SamplingSettings(seed=1))
+    assert (scenes.render(room(0.7), camera, (96, 96), 3, other) != pictures[0]).any()
+
+
+def test_cancelled_step_keeps_a_valid_picture():
+    """Stop in the middle of a sample, read a sound picture, go on, and end with the same bits as without a stop."""
+    session = Session(scenes.SETTINGS)
+    session.update(room(0.5))
+    camera = scenes.camera_above(height=0.5, half=0.3, orthographic=False)
+    session.configure(scenes.SETTINGS, camera, 256, 128)
+    calls = []
+    session.step(4, lambda: len(calls) > 20 or calls.append(0))
+    assert session.samples_done < 4
+    assert np.isfinite(session.read()).all()
+    while session.samples_done < 4:
+        session.step(1)
+    assert (session.read() == scenes.render(room(0.5), camera, (256, 128), 4)).all()
+
+
+def test_noise_falls_with_samples():
+    """Halve the error with four times the samples (better for a low-discrepancy sequence, never worse)."""
+    lamp = scenes.lamp("AREA", 30.0, scenes.place(z=2.0, x=1.0), shape="SQUARE", size_x=1.0)
+    scene = scenes.delta({"plane": scenes.quad(20.0), "ball": scenes.sphere(0.3, 16)},
+                         [("plane", np.eye(4), "grey"), ("ball", scenes.place(z=0.6), "grey")],
+                         {"grey": scenes.material(color=0.6)}, [lamp], 0.3)
+    camera = scenes.camera_above(half=1.0)
+    truth = scenes.render(scene, camera, (16, 16), 4096)[..., 0]
+    errors = [np.sqrt(((scenes.render(scene, camera, (16, 16), n)[..., 0] - truth) ** 2).mean()) for n in (16, 64, 256)]
+    assert errors[1] < 0.62 * errors[0] and errors[2] < 0.62 * errors[1]
+
+
+def test_scale_and_distance_do_not_matter():
+    """Render the same picture of a scene scaled by 1e-3 to 1e3, and moved 8 km away."""
+    def shot(scale=1.0, shift=0.0):
+        objects = [("plane", scenes.place(x=shift, scale=scale), "grey"),
+                   ("ball", scenes.place(x=shift, z=0.6 * scale, scale=scale), "grey")]
+        lamp = scenes.lamp("AREA", 30.0 * scale**2, scenes.place(x=shift + scale, z=2 * scale, scale=scale),
+                           shape="SQUARE", size_x=1.0)
+        camera = dataclasses.replace(
+            scenes.camera_above(height=3.0 * scale, half=scale, clip_start=1e-3 * scale, clip_end=1e3 * scale),
+            transform=tuple(scenes.place(x=shift, z=3.0 * scale).ravel()))
+        return scenes.render(
+            scenes.delta({"plane": scenes.quad(2.0), "ball": scenes.sphere(0.3, 16)}, objects,
+                         {"grey": scenes.material(color=0.6)}, [lamp], 0.3), camera, (32, 32), 16)
+
+    usual = shot()
+    for other in (shot(1e-3), shot(1e3), shot(shift=8192.0)):
+        assert np.isclose(other, usual, rtol=2e-3, atol=1e-4).all(-1).mean() > 0.98
+        np.testing.assert_allclose(other.mean(), usual.mean(), rtol=2e-3)
+
+
+def test_empty_scene():
+    """Render the world where there is nothing else, and alpha 1."""
+    image = scenes.render(scenes.delta({}, [], {}, background=0.25), samples=1)
+    np.testing.assert_allclose(image, np.broadcast_to([0.25, 0.25, 0.25, 1.0], image.shape), rtol=1e-6)

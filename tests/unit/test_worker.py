@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the viewport's worker thread, with a NumPy session: no bpy, no kernels."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from burnish.addon.worker import ViewportWorker, ViewRequest, divided_crop, picture_area, restarts
+from burnish.engine.errors import DeviceUnavailable
+from burnish.engine.scene import CameraData, SceneDelta
+from burnish.engine.settings import RenderSettings, SamplingSettings
+
+spec = importlib.util.spec_from_file_location(
+    "host_fakes", Path(__file__).resolve().parent.parent / "blender" / "host_fakes.py")
+fakes = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(fakes)
+
+WAIT = 5.0
+"""Seconds after which a thread counts as stuck."""
+
+
+def until(condition) -> None:
+    """Wait for a condition."""
+    end = time.perf_counter() + WAIT
+    while not condition():
+        assert time.perf_counter() < end, "timed out"
+        time.sleep(0.002)
+
+
+def request(samples: int = 8, **changes) -> ViewRequest:
+    """Return a request for 64 x 36 pixels."""
+    settings = RenderSettings(sampling=SamplingSettings(viewport_samples=samples))
+    values = {"settings": settings, "camera": CameraData(), "width": 64, "height": 36} | changes
+    return ViewRequest(**values)
+
+
+@pytest.fixture
+def make_worker():
+    """Return a function that starts a worker over a fresh FakeSession class; all are stopped afterwards."""
+    workers = []
+    fakes.FakeSession.step_seconds, fakes.FakeSession.fail_in = 0.0, ""
+    fakes.FakeSession.opened.clear()
+
+    def make(factory=fakes.FakeSession):
+        worker = ViewportWorker(factory, fakes.no_build)
+        workers.append(worker)
+        worker.start()
+        return worker
+
+    yield make
+    fakes.FakeSession.step_seconds = 0.0
+    for worker in workers:
+        worker.stop()
+        assert worker.join(WAIT)
+
+
+def test_refines_from_coarse_to_full_and_rests(make_worker):
+    """Go from coarse to full resolution, stop at the sample limit, and then do nothing."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    assert worker.post_view(request())
+    until(lambda: worker.picture is not None and worker.picture.samples == 8)
+    until(lambda: not worker.status.busy)
+    sizes = [config[2:4] for config in fakes.FakeSession.opened[0].configured]
+    assert sizes[0] == (16, 9) and sizes[-1] == (64, 36), sizes
+    assert worker.status.text == "Sample 8/8"
+    serial, start = worker.status.serial, time.thread_time()
+    time.sleep(0.1)
+    assert worker.status.serial == serial and time.thread_time() - start < 0.05
+
+
+def test_equal_views_change_nothing(make_worker):
+    """Tell that an equal request is no news; more samples of the same view go on where they were."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    assert worker.post_view(request())
+    assert not worker.post_view(request())
+    until(lambda: not worker.status.busy)
+    configured = len(fakes.FakeSession.opened[0].configured)
+    assert worker.post_view(request(samples=12))
+    until(lambda: worker.picture.samples == 12)
+    added = fakes.FakeSession.opened[0].configured[configured:]
+    assert all(config[2:4] == (64, 36) for config in added), added
+
+
+def test_first_picture_survives_navigation(make_worker):
+    """Finish each coarse picture while views arrive faster than pictures."""
+    fakes.FakeSession.step_seconds = 0.03
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    serials = set()
+    for i in range(60):
+        worker.post_view(request(camera=CameraData(focus_distance=1.0 + i)))
+        time.sleep(0.005)
+        if worker.picture is not None:
+            serials.add(worker.picture.serial)
+    assert len(serials) >= 4, serials
+
+
+def test_stop_is_quick_and_closes_the_session(make_worker):
+    """End within 0.2 s in the middle of a slow sample, and free the session."""
+    fakes.FakeSession.step_seconds = 30.0
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request())
+    until(lambda: fakes.FakeSession.opened and fakes.FakeSession.opened[0].configured)
+    start = time.perf_counter()
+    worker.stop()
+    assert worker.join(WAIT)
+    assert time.perf_counter() - start < 0.2
+    assert fakes.FakeSession.opened[0].closed
+
+
+@pytest.mark.parametrize("failure", ["update", "configure", "step", "read"])
+def test_failure_ends_with_a_sentence(make_worker, failure):
+    """Keep the error, free the session and end the thread."""
+    fakes.FakeSession.fail_in = failure
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request())
+    until(lambda: not worker.alive)
+    assert worker.failed and "made to fail" in worker.status.error
+    assert not worker.status.busy and fakes.FakeSession.opened[0].closed
+
+
+def test_unavailable_device_is_its_own_sentence(make_worker):
+    """Pass on an engine error's sentence unchanged."""
+    def refuse(settings):
+        raise DeviceUnavailable("No CUDA device was found")
+
+    worker = make_worker(refuse)
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request())
+    until(lambda: not worker.alive)
+    assert worker.status.error == "No CUDA device was found"
+
+
+def test_scene_changes_are_kept_until_the_first_view(make_worker):
+    """Apply all scene changes in order, also those posted before the first view."""
+    worker = make_worker()
+    deltas = [SceneDelta(full=True), SceneDelta(lights=[])]
+    for delta in deltas:
+        worker.post_scene(delta)
+    time.sleep(0.02)
+    assert not fakes.FakeSession.opened
+    worker.post_view(request())
+    until(lambda: worker.picture is not None)
+    assert fakes.FakeSession.opened[0].updates == deltas
+
+
+def test_posting_never_blocks(make_worker):
+    """Return from posts at once while the thread is busy with a long update."""
+    gate = threading.Event()
+
+    class SlowSession(fakes.FakeSession):
+        def update(self, delta, progress=None):
+            gate.wait(WAIT)
+
+    worker = make_worker(SlowSession)
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request())
+    start = time.perf_counter()
+    for i in range(100):
+        worker.post_view(request(camera=CameraData(focus_distance=1.0 + i)))
+        worker.post_scene(SceneDelta(lights=[]))
+    assert time.perf_counter() - start < 0.1
+    gate.set()
+
+
+def test_resize_storm(make_worker):
+    """Follow a hundred sizes and end with a picture of the last one."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    for i in range(100):
+        worker.post_view(request(width=1 + 7 * i % 90, height=1 + 5 * i % 60))
+    last = request(width=33, height=21)
+    worker.post_view(last)
+    until(lambda: not worker.status.busy)
+    assert worker.picture.pixels.shape == (21, 33) and worker.picture.samples == 8
+
+
+def test_crop_is_rendered_alone(make_worker):
+    """Render only a crop's pixels and say where they belong."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request(crop=(16, 9, 32, 18)))
+    until(lambda: not worker.status.busy)
+    assert worker.picture.pixels.shape == (18, 32)
+    assert worker.picture.area == (0.25, 0.25, 0.75, 0.75)
+
+
+def test_divided_crop_covers():
+    """Cover the crop at every divider, with at least a pixel."""
+    for divider in (1, 2, 3, 16):
+        x, y, width, height = divided_crop((5, 7, 31, 1), divider)
+        assert x * divider <= 5 and (x + width) * divider >= 36
+        assert y * divider <= 7 and (y + height) * divider >= 8
+    assert picture_area(request(), 4) == (0.0, 0.0, 1.0, 1.0)
+
+
+def test_restarts_follow_the_settings():
+    """Start anew for another view or seed, go on for another number of samples."""
+    old = request()
+    assert restarts(old, None)
+    assert not restarts(request(samples=99), old)
+    assert restarts(request(width=65), old)
+    seeded = dataclasses.replace(old.settings, sampling=dataclasses.replace(old.settings.sampling, seed=5))
+    assert restarts(dataclasses.replace(old, settings=seeded), old)
