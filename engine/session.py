@@ -202,7 +202,7 @@ class Session:
         width, height = self._size[2][2], self._size[2][3]
         picture = self._read_flat(name).reshape(height, width, PASSES[name])
         self.stats.times["read"] = time.perf_counter() - start
-        return np.ascontiguousarray(picture, np.float32)
+        return np.array(picture, np.float32, order="C")
 
     def _read_flat(self, name: str) -> np.ndarray:
         buffers, count = self._film.film, max(self.samples_done, 1)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A session's picture on its way to a viewport: packed on the device and read back, or copied into a GL texture.
+
+Owns the small buffers between the film and the screen. Knows nothing of Blender; the caller finds the GL texture.
+"""
+
+from __future__ import annotations
+
+import sys
+import types
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels import display
+
+__all__ = ["DevicePicture", "GlTexture", "PictureReader", "can_share_textures"]
+
+GL_TEXTURE_2D = 0x0DE1
+GL_TEXTURE_1D = 0x0DE0
+GL_TEXTURE_3D = 0x806F
+
+RING = 3
+"""Device pictures in turn: one being drawn, the newest, and the one being written."""
+
+
+class DevicePicture:
+    """A picture that stays on its CUDA device: half-float RGBA [h, w]."""
+
+    def __init__(self, halves: wp.array):
+        self.halves = halves
+        self.height, self.width = halves.shape
+
+
+class PictureReader:
+    """Reads pictures of one session in display formats; for the session's own thread."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self._packed: wp.array | None = None
+        self._pinned: wp.array | None = None
+        self._ring: list[wp.array] = []
+        self._turn = 0
+
+    def packed(self, picture: wp.array, width: int, height: int) -> np.ndarray:
+        """Return `picture` (vec4 [h * w] on the device) packed: float32 [h, w], bottom row first, owned by the caller.
+
+        The floats are bit patterns, never NaN; see kernels/display.py.
+        """
+        count = width * height
+        if self._packed is None or self._packed.size != count:
+            self._packed = wp.empty(count, dtype=wp.uint32, device=self.device)
+            cuda = self._packed.device.is_cuda
+            self._pinned = wp.empty(count, dtype=wp.uint32, device="cpu", pinned=cuda)
+        wp.launch(display.pack_picture, count, [picture], [self._packed], device=self.device)
+        wp.copy(self._pinned, self._packed)
+        if self._packed.device.is_cuda:
+            wp.synchronize_stream(wp.get_stream(self.device))
+        # A copy: the pinned array is written again while this picture is being drawn.
+        return self._pinned.numpy().copy().view(np.float32).reshape(height, width)
+
+    def on_device(self, picture: wp.array, width: int, height: int) -> DevicePicture:
+        """Return `picture` as half floats that stay on the device, valid until RING more were made."""
+        if not self._ring or self._ring[0].shape != (height, width):
+            self._ring = [wp.empty((height, width), dtype=wp.vec4h, device=self.device) for _ in range(RING)]
+        self._turn = (self._turn + 1) % RING
+        halves = self._ring[self._turn]
+        wp.launch(display.halve_picture, width * height, [picture], [halves.flatten()], device=self.device)
+        # The picture must be complete before another thread copies it, whatever stream that uses.
+        wp.synchronize_stream(wp.get_stream(self.device))
+        return DevicePicture(halves)
+
+
+def can_share_textures(device: str) -> bool:
+    """Tell whether GL textures could be registered with `device`: CUDA only; trying is the only real test."""
+    return wp.get_device(device).is_cuda
+
+
+class GlTexture:
+    """A GL texture (RGBA16F) registered with CUDA; needs the thread and context that GL is current in.
+
+    Raises:
+        RuntimeError: GL and CUDA run on different devices, or the driver refuses.
+    """
+
+    def __init__(self, name: int, device: str):
+        _stand_in_for_pyglet()
+        self._resource = wp.GLTextureResource(name, GL_TEXTURE_2D, device=device)
+
+    def write(self, picture: DevicePicture) -> None:
+        """Copy a picture of the texture's size into it, on the device."""
+        texture = self._resource.map()
+        try:
+            texture.copy_from(picture.halves)
+        finally:
+            self._resource.unmap()
+
+
+def _stand_in_for_pyglet() -> None:
+    # Warp imports pyglet for three of OpenGL's constants; Blender does not carry it.
+    if "pyglet" in sys.modules:
+        return
+    module: Any = types.ModuleType("pyglet")
+    module.gl = types.SimpleNamespace(
+        GL_TEXTURE_1D=GL_TEXTURE_1D, GL_TEXTURE_2D=GL_TEXTURE_2D, GL_TEXTURE_3D=GL_TEXTURE_3D)
+    sys.modules["pyglet"] = module

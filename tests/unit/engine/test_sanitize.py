@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cleaning of meshes: what is dropped, what is repaired, and that good ones pass untouched and quickly."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from burnish.engine.report import Report
+from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, report_counts, sanitize_mesh
+from burnish.engine.scene import MeshData
+
+
+def grid(side: int) -> MeshData:
+    """Return a flat grid of 2 * (side - 1)**2 triangles with one UV map and one attribute."""
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    positions = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float32)
+    index = np.arange(side * side).reshape(side, side)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    triangles = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    count = len(triangles)
+    normals = np.zeros((count, 3, 3), np.float32)
+    normals[..., 2] = 1.0
+    rng = np.random.default_rng(1)
+    return MeshData(
+        name="grid", positions=positions, triangles=triangles.astype(np.int32),
+        material_slots=np.arange(count, dtype=np.int32), corner_normals=normals,
+        uv_maps={"UV": rng.random((count, 3, 2), np.float32)},
+        attributes={"Color": rng.random((count, 3, 4), np.float32)})
+
+
+def test_good_mesh_is_returned_as_it_is():
+    """Return the very same object where nothing is wrong."""
+    mesh = grid(5)
+    cleaned, counts = sanitize_mesh(mesh)
+    assert cleaned is mesh and counts == SanitizeCounts()
+
+
+def test_empty_meshes():
+    """Accept a mesh without triangles and one without vertices."""
+    mesh = grid(2)
+    mesh.triangles, mesh.material_slots = mesh.triangles[:0], mesh.material_slots[:0]
+    mesh.corner_normals, mesh.uv_maps, mesh.attributes = mesh.corner_normals[:0], {}, {}
+    assert sanitize_mesh(mesh)[1] == SanitizeCounts()
+    mesh = grid(2)
+    mesh.positions = mesh.positions[:0]
+    cleaned, counts = sanitize_mesh(mesh)
+    assert len(cleaned.triangles) == 0 and counts.bad_indices == 2
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_non_finite_vertex_drops_its_triangles(value):
+    """Drop the triangles around a vertex that isn't finite, with everything that belongs to them."""
+    mesh = grid(4)
+    mesh.positions[5, 1] = value
+    touched = (mesh.triangles == 5).any(axis=1)
+    cleaned, counts = sanitize_mesh(mesh)
+    assert counts == SanitizeCounts(non_finite=int(touched.sum())) and counts.non_finite == 6
+    assert cleaned.material_slots.tolist() == np.flatnonzero(~touched).tolist()
+    np.testing.assert_array_equal(cleaned.uv_maps["UV"], mesh.uv_maps["UV"][~touched])
+    np.testing.assert_array_equal(cleaned.attributes["Color"], mesh.attributes["Color"][~touched])
+    assert np.isfinite(cleaned.positions).all(), "bounds made of all vertices must be finite"
+    assert np.isnan(mesh.positions[5, 1]) or np.isinf(mesh.positions[5, 1]), "the argument is left alone"
+    assert cleaned.triangles.flags.c_contiguous and cleaned.corner_normals.flags.c_contiguous
+
+
+def test_each_defect_is_counted_once():
+    """Count out-of-range, non-finite, far and flat triangles separately, each triangle once."""
+    mesh = grid(3)
+    mesh.triangles[0, 1] = 99
+    mesh.triangles[1, 0] = -1
+    mesh.positions[8] = (0.0, 0.0, 2.0 * COORDINATE_LIMIT)
+    mesh.triangles[2] = (0, 0, 1)
+    mesh.triangles[3] = (0, 1, 2)
+    far = (mesh.triangles == 8).any(axis=1)
+    far[[0, 1, 2, 3]] = False
+    cleaned, counts = sanitize_mesh(mesh)
+    assert counts.bad_indices == 2 and counts.degenerate == 2 and counts.too_far == int(far.sum()) > 0
+    assert counts.dropped == len(mesh.triangles) - len(cleaned.triangles)
+    assert cleaned.triangles.min() >= 0 and cleaned.triangles.max() < len(cleaned.positions)
+    assert np.abs(cleaned.positions).max() <= COORDINATE_LIMIT
+
+
+def test_normals_are_replaced_by_the_face_normal():
+    """Repair zero, NaN and infinite corner normals; keep the others bit by bit."""
+    mesh = grid(3)
+    for corner, bad in enumerate((0.0, np.nan, np.inf)):
+        mesh.corner_normals[2, corner] = bad
+    mesh.corner_normals[3, 1] = (0.6, 0.0, 0.8)
+    cleaned, counts = sanitize_mesh(mesh)
+    assert counts == SanitizeCounts(normals=3)
+    np.testing.assert_array_equal(cleaned.corner_normals[2], [[0.0, 0.0, 1.0]] * 3)
+    np.testing.assert_array_equal(cleaned.corner_normals[3], mesh.corner_normals[3])
+    assert np.isnan(mesh.corner_normals[2, 1]).all()
+
+
+def test_coordinates_become_zero():
+    """Set non-finite UVs and attributes to zero, corner by corner."""
+    mesh = grid(3)
+    mesh.uv_maps["UV"][1, 2] = (np.nan, 0.5)
+    mesh.attributes["Color"][0, 0, 3] = np.inf
+    mesh.attributes["Big"] = np.full_like(mesh.attributes["Color"], 1e30)
+    cleaned, counts = sanitize_mesh(mesh)
+    assert counts == SanitizeCounts(coordinates=2)
+    assert cleaned.uv_maps["UV"][1, 2].tolist() == [0.0, 0.0]
+    assert cleaned.attributes["Color"][0, 0].tolist() == [0.0] * 4
+    np.testing.assert_array_equal(cleaned.uv_maps["UV"][0], mesh.uv_maps["UV"][0])
+    np.testing.assert_array_equal(cleaned.attributes["Big"], mesh.attributes["Big"])
+
+
+def test_random_damage_never_survives():
+    """Leave nothing broken behind, whatever is thrown in."""
+    rng = np.random.default_rng(7)
+    bad = np.array([np.nan, np.inf, -np.inf, 1e30, -1e20, 0.0], np.float32)
+    for _ in range(20):
+        mesh = grid(6)
+        for array in (mesh.positions, mesh.corner_normals, mesh.uv_maps["UV"], mesh.attributes["Color"]):
+            flat = array.reshape(-1)
+            flat[rng.integers(0, len(flat), 4)] = rng.choice(bad, 4)
+        mesh.triangles.reshape(-1)[rng.integers(0, mesh.triangles.size, 3)] = rng.integers(-9, 99, 3)
+        cleaned, counts = sanitize_mesh(mesh)
+        corners = cleaned.positions[cleaned.triangles].astype(np.float64)
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        assert (area > 0.0).all() and np.isfinite(cleaned.corner_normals).all()
+        assert np.isfinite(cleaned.positions).all() and np.isfinite(cleaned.uv_maps["UV"]).all()
+        assert counts.dropped == len(mesh.triangles) - len(cleaned.triangles)
+
+
+def test_counts_become_report_entries():
+    """Report each kind of defect once, with its count; flat triangles for the whole scene."""
+    report = Report()
+    report_counts(report, "object 'Floor'", SanitizeCounts(non_finite=3, degenerate=2))
+    report_counts(report, "object 'Wall'", SanitizeCounts(degenerate=5))
+    entries = {(entry.owner, entry.count) for entry in report.entries()}
+    assert entries == {("object 'Floor'", 3), ("", 7)}
+
+
+def test_a_million_triangles_take_a_moment():
+    """Stay far below a second for a million triangles (40 ms measured; the bound only catches slow rewrites)."""
+    mesh = grid(708)
+    start = time.perf_counter()
+    sanitize_mesh(mesh)
+    assert time.perf_counter() - start < 1.0
