@@ -24,6 +24,7 @@ from .cli_output import Console
 __all__ = ["run"]
 
 ENGINE = 'BURNISH'
+LARGEST_RESOLUTION = 65536
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
@@ -72,8 +73,7 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
     render_settings.engine = ENGINE
     render_settings.use_compositing = render_settings.use_sequencer = False
     if arguments.size:
-        render_settings.resolution_x, render_settings.resolution_y = arguments.size
-        render_settings.resolution_percentage = 100
+        set_size(render_settings, *arguments.size)
     if arguments.camera is not None:
         cameras = [thing.name for thing in scene.objects if thing.type == 'CAMERA']
         if arguments.camera not in cameras:
@@ -96,6 +96,18 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
     if arguments.time_limit and arguments.samples is None:
         # A time alone means: as many samples as fit.
         assign(scene, "samples", setting_info(SamplingSettings)["samples"].metadata["high"])
+
+
+def set_size(render_settings: Any, width: int, height: int) -> None:
+    """Set the size in pixels.
+
+    Blender keeps the sides to 4..65536, but not what a percentage makes of them: below 4 pixels, ask for a multiple.
+    """
+    multiple = {1: 4, 2: 2, 3: 2}.get(min(width, height), 1)
+    if multiple * max(width, height) > LARGEST_RESOLUTION:
+        raise InvalidScene(f"Blender can't render {width} x {height} pixels; make the short side at least 4.")
+    render_settings.resolution_percentage = 100 // multiple
+    render_settings.resolution_x, render_settings.resolution_y = multiple * width, multiple * height
 
 
 def assign(scene: Any, name: str, value: Any) -> None:
@@ -140,9 +152,10 @@ def framed(pixels: np.ndarray, information: final.RenderInfo, scene: Any) -> np.
     if information.crop is None or scene.render.use_crop_to_border:
         return pixels
     x, y, width, height = information.crop
-    scale = scene.render.resolution_percentage / 100.0
-    full = (int(scene.render.resolution_y * scale), int(scene.render.resolution_x * scale), pixels.shape[2])
-    frame = np.zeros(full, np.float32)
+    percentage = scene.render.resolution_percentage
+    full_width = scene.render.resolution_x * percentage // 100
+    full_height = scene.render.resolution_y * percentage // 100
+    frame = np.zeros((full_height, full_width, pixels.shape[2]), np.float32)
     frame[y:y + height, x:x + width] = pixels
     return frame
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws a finished picture into the viewport, scene-linear: Blender applies the view transform afterwards.
 
-One interface, two portable ways: packed colours in an R32F texture, unpacked by our own fragment shader (4 bytes a
-pixel; uploads in about 1 ms at 1080p), and RGBA16F for pictures with alpha, or where the shader can't be built.
-A GPUTexture can't be written to, so each new picture makes a new one; the previous is kept until the next draw,
-because the GPU may still be reading it.
+One interface. Two portable ways: packed colours in an R32F texture, unpacked by our own fragment shader (4 bytes a
+pixel; uploads in about 1 ms at 1080p), and RGBA16F for pictures with alpha, or where the shader can't be built. And
+gl_interop.py's for pictures that are still on the GPU. A GPUTexture can't be written to by Blender's API, so each new
+picture makes a new one; the previous is kept until the next draw, because the GPU may still be reading it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from . import compat
+from . import compat, gl_interop
 from .picture import EXPONENT_MIN, HALF_MAX, Picture, unpack_colors
 
 __all__ = ["Display", "free_shader", "shader_available"]
@@ -111,6 +111,12 @@ class Display:
         self._previous: Any = None
         self._serial = -1
         self._packed = False
+        self._shared = gl_interop.SharedTextures()
+
+    @staticmethod
+    def can_share(device: str) -> bool:
+        """Tell whether pictures may stay on `device` (Warp's name)."""
+        return bool(device) and gl_interop.probe(device)
 
     def draw(self, picture: Picture, width: int, height: int) -> None:
         """Draw `picture` over its part of a region of width x height pixels, in Blender's pixel-space matrices."""
@@ -126,6 +132,7 @@ class Display:
     def free(self) -> None:
         """Drop the textures."""
         self._texture = self._previous = None
+        self._shared.free()
         self._serial = -1
 
     def _upload(self, picture: Picture) -> None:
@@ -133,8 +140,11 @@ class Display:
         self._packed = picture.packed and shader_available()
         if self._packed:
             self._texture = make_texture(picture.pixels, 'R32F')
+        elif picture.on_device:
+            self._texture = self._shared.upload(picture.pixels)
         else:
             self._texture = make_texture(plain_pixels(picture), 'RGBA16F')
+        if not self._packed:
             compat.set_texture_filter(self._texture, True)
         self._serial = picture.serial
 

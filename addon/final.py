@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -81,14 +82,45 @@ def render(engine: Any, depsgraph: Any) -> None:
 
 
 def with_session(engine: Any, depsgraph: Any, job: FinalRender) -> None:
-    """Build the kernels, open a session, run `job` in it and close it, whatever happens."""
+    """Build the kernels, run `job` in a session, and close that whatever happens, unless Blender wants it kept."""
     build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break)
-    session = open_session(job.settings)
+    session, extractor = take_kept(engine, job.settings) or (open_session(job.settings), SceneExtractor())
+    keep = False
     try:
-        job.run(session, depsgraph)
+        job.run(session, extractor, depsgraph)
+        keep = job.scene.render.use_persistent_data
     finally:
         report.publish("Render", merged(session.report, job.report), report.session_details(session))
-        session.close()
+        if keep:
+            keep_session(engine, session, extractor, job.settings)
+        else:
+            session.close()
+
+
+def take_kept(engine: Any, settings: RenderSettings) -> tuple[Any, SceneExtractor] | None:
+    """Return the session and extractor that the previous frame left in `engine` (Persistent Data), or None."""
+    kept = getattr(engine, "kept", None)
+    if not kept:
+        return None
+    session, extractor, device = kept.pop()
+    if device == settings.device:
+        return session, extractor
+    session.close()
+    return None
+
+
+def keep_session(engine: Any, session: Any, extractor: SceneExtractor, settings: RenderSettings) -> None:
+    """Leave a session in `engine`, which Blender keeps between frames, and close it when Blender frees that."""
+    if getattr(engine, "kept", None) is None:
+        engine.kept = []
+        weakref.finalize(engine, close_kept, engine.kept).atexit = False
+    engine.kept.append((session, extractor, settings.device))
+
+
+def close_kept(kept: list[tuple[Any, SceneExtractor, Any]]) -> None:
+    """Close the sessions in a list."""
+    while kept:
+        kept.pop()[0].close()
 
 
 def merged(first: Report, second: Report) -> Report:
@@ -119,9 +151,8 @@ class FinalRender:
         self.progress = RenderProgress(engine, frame=scene.frame_current, layer=self.layer, parts=len(self.views),
                                        background=bpy.app.background)
 
-    def run(self, session: Any, depsgraph: Any) -> None:
+    def run(self, session: Any, extractor: SceneExtractor, depsgraph: Any) -> None:
         """Extract the scene once and render each view."""
-        extractor = SceneExtractor()
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)

@@ -1,39 +1,54 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Application handlers: stop workers before a file is loaded and at exit; drop what undo may have replaced.
 
-None of them does anything while no viewport renders with the engine, and there is no depsgraph handler.
+None of them does anything before the first viewport renders with the engine, and there is no depsgraph handler.
 """
 
 from __future__ import annotations
 
 import atexit
+import sys
 from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
 
-from . import compat, report, viewport
+from . import compat, report
 
-__all__ = ["register", "unregister"]
+__all__ = ["register", "stop_viewports", "unregister"]
+
+
+def _viewports() -> Any:
+    """Return the viewport module if something has rendered in a viewport, else None."""
+    return sys.modules.get(f"{__package__}.viewport")
+
+
+def stop_viewports() -> None:
+    """Stop all viewports and wait for their threads."""
+    viewport = _viewports()
+    if viewport is not None:
+        viewport.stop_all()
 
 
 @persistent
 def before_load(*_: Any) -> None:
     """Stop everything: the data that viewports refer to is about to go."""
-    viewport.stop_all()
+    stop_viewports()
     report.clear()
 
 
 @persistent
 def after_undo(*_: Any) -> None:
     """Make viewports read the whole scene again: undo replaces data-blocks."""
-    viewport.forget_scenes()
+    viewport = _viewports()
+    if viewport is not None:
+        viewport.forget_scenes()
 
 
 @persistent
 def before_exit(*_: Any) -> None:
     """Stop the worker threads while the interpreter still lives."""
-    viewport.stop_all()
+    stop_viewports()
 
 
 def _handlers() -> list[tuple[list[Any], Any]]:
@@ -55,7 +70,7 @@ def register() -> None:
 
 def at_interpreter_exit() -> None:
     """Stop the threads where bpy is a module: there Blender's exit comes after Python's modules are taken apart."""
-    viewport.stop_all()
+    stop_viewports()
     unregister()
 
 

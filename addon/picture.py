@@ -9,10 +9,11 @@ change those. The fragment shader in display.py is its only reader.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-__all__ = ["HALF_MAX", "Picture", "make_picture", "pack_colors", "unpack_colors"]
+__all__ = ["HALF_MAX", "Picture", "display_pixels", "pack_colors", "unpack_colors"]
 
 HALF_MAX = 65504.0
 """Largest finite half float; above it a half-float texture holds infinities and the viewport turns black."""
@@ -37,8 +38,9 @@ class Picture:
 
     serial: int
     """Rises with each picture of a viewport."""
-    pixels: np.ndarray
-    """float32, bottom row first: [h, w] packed by `pack_colors`, or [h, w, 4] premultiplied scene-linear RGBA."""
+    pixels: Any
+    """float32, bottom row first: [h, w] packed by `pack_colors`, or [h, w, 4] premultiplied scene-linear RGBA; or an
+    engine.display.DevicePicture, which has not left the GPU."""
     area: tuple[float, float, float, float]
     """left, bottom, right, top of the drawn rectangle, as fractions of the region."""
     samples: int
@@ -48,19 +50,20 @@ class Picture:
     @property
     def packed(self) -> bool:
         """Whether `pixels` holds packed opaque colours."""
-        return self.pixels.ndim == 2
+        return isinstance(self.pixels, np.ndarray) and self.pixels.ndim == 2
+
+    @property
+    def on_device(self) -> bool:
+        """Whether `pixels` are still on the GPU."""
+        return not isinstance(self.pixels, np.ndarray)
 
 
-def make_picture(serial: int, rgba: np.ndarray, area: tuple[float, float, float, float], *, samples: int, divider: int,
-                 transparent: bool) -> Picture:
-    """Make a picture from RGBA float32 [h, w, 4]: packed where it is opaque, else clamped to half floats."""
+def display_pixels(rgba: np.ndarray, transparent: bool) -> np.ndarray:
+    """Return RGBA float32 [h, w, 4] as Picture.pixels: packed where it is opaque, else clamped to half floats."""
     if transparent:
         # fmax and fmin rather than clip: they also turn NaN into a number.
-        pixels = np.fmin(np.fmax(rgba, np.float32(0.0)), np.float32(HALF_MAX))
-    else:
-        pixels = pack_colors(rgba)
-    return Picture(serial=serial, pixels=np.ascontiguousarray(pixels, np.float32), area=area, samples=samples,
-                   divider=divider)
+        return np.ascontiguousarray(np.fmin(np.fmax(rgba, np.float32(0.0)), np.float32(HALF_MAX)))
+    return pack_colors(rgba)
 
 
 def pack_colors(rgb: np.ndarray) -> np.ndarray:

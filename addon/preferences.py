@@ -24,6 +24,8 @@ PACKAGE = __package__.rpartition(".")[0]
 CACHE_VARIABLE = "WARP_CACHE_PATH"
 """Environment variable from which Warp takes its kernel cache; set by the user or a farm, it wins."""
 
+_cache_is_ours = False
+
 
 def update_cache(self: Any, context: Any) -> None:
     """Note a change of the cache folder; Warp reads it when it starts."""
@@ -72,11 +74,15 @@ def with_device(settings: RenderSettings) -> RenderSettings:
 
 
 def apply_cache_folder(folder: str) -> None:
-    """Make Warp keep built kernels in `folder`, unless the environment says otherwise or Warp runs already."""
-    if folder and not os.environ.get(CACHE_VARIABLE):
-        from ..engine.warmup import set_cache_folder
-
-        set_cache_folder(bpy.path.abspath(folder))
+    """Make Warp keep built kernels in `folder` from its next start, unless the environment says otherwise."""
+    global _cache_is_ours
+    if os.environ.get(CACHE_VARIABLE) and not _cache_is_ours:
+        return
+    if folder:
+        os.environ[CACHE_VARIABLE] = bpy.path.abspath(folder)
+    elif _cache_is_ours:
+        del os.environ[CACHE_VARIABLE]
+    _cache_is_ours = bool(folder)
 
 
 def package_version() -> str:

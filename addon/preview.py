@@ -28,7 +28,7 @@ def with_preview_budget(settings: RenderSettings) -> RenderSettings:
 def render(engine: Any, depsgraph: Any) -> None:
     """Render a preview; a failure is logged, since an icon is no place for a message."""
     from . import final
-    from .extract.scene import ExtractionCancelled
+    from .extract.scene import ExtractionCancelled, SceneExtractor
     from .progress import Cancelled
 
     if min(engine.resolution_x, engine.resolution_y) < ICON_SIZE_MAX:
@@ -38,7 +38,7 @@ def render(engine: Any, depsgraph: Any) -> None:
         final.build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break)
         session = final.open_session(job.settings)
         try:
-            job.run(session, depsgraph)
+            job.run(session, SceneExtractor(), depsgraph)
         finally:
             session.close()
     except (Cancelled, ExtractionCancelled):

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The RenderEngine that Blender sees: flags, and methods that only call into final.py and viewport.py."""
+"""The RenderEngine that Blender sees: flags, and methods that only call into final.py and viewport.py.
+
+Those two are imported at the first call: they load Warp, which nobody who renders with another engine should wait for.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from . import final, passes, viewport
+from . import handlers, passes
 
 __all__ = ["BurnishRenderEngine", "register", "unregister"]
 
@@ -32,14 +35,20 @@ class BurnishRenderEngine(bpy.types.RenderEngine):
 
     def render(self, depsgraph: Any) -> None:
         """Render one view layer for good; in the window this runs in a job's thread."""
+        from . import final
+
         final.render(self, depsgraph)
 
     def view_update(self, context: Any, depsgraph: Any) -> None:
         """Take in what changed in the scene; called on the main thread."""
+        from . import viewport
+
         viewport.view_update(self, context, depsgraph)
 
     def view_draw(self, context: Any, depsgraph: Any) -> None:
         """Draw the newest picture; called on the main thread at each redraw."""
+        from . import viewport
+
         viewport.view_draw(self, context, depsgraph)
 
 
@@ -50,5 +59,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Stop the viewports and unregister the engine."""
-    viewport.stop_all()
+    handlers.stop_viewports()
     bpy.utils.unregister_class(BurnishRenderEngine)

@@ -15,6 +15,7 @@ from typing import Any
 
 import bpy
 
+from ..engine.device import start_warp
 from ..engine.report import Report, ReportKind
 from ..engine.scene import SceneDelta
 from . import preferences, report
@@ -58,7 +59,7 @@ def ensure_viewport(engine: Any) -> Viewport:
     if viewport is None:
         viewport = engine.viewport = Viewport(engine)
         # Not __del__: Blender's own documentation of it raises AttributeError in 5.2.
-        weakref.finalize(engine, viewport.close)
+        weakref.finalize(engine, viewport.close).atexit = False
     return viewport
 
 
@@ -171,6 +172,8 @@ class Viewport:
         self._device = None
         self._drawn_serial = -1
         self._display.free()
+        # Before the extraction, which folds constants with Warp's functions and would start it with its banner.
+        start_warp()
         self._worker = ViewportWorker(open_session, build_kernels)
         self._worker.start()
         viewports.add(self)
@@ -199,6 +202,9 @@ class Viewport:
         if self._worker is None:
             return
         status, picture = self._worker.status, self._worker.picture
+        if self._worker.device and not self._worker.share_pictures:
+            # Quick after the first time; a GPU context is only current while drawing.
+            self._worker.share_pictures = self._display.can_share(self._worker.device)
         if picture is not None:
             engine.bind_display_space_shader(bpy.context.scene)
             self._display.draw(picture, region.width, region.height)

@@ -19,7 +19,7 @@ from ..engine.report import Report
 from ..engine.scene import CameraData, SceneDelta
 from ..engine.settings import Change, RenderSettings, change_since
 from .builds import build_kernels, open_session
-from .picture import Picture, make_picture
+from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
 
 __all__ = ["ViewRequest", "ViewportWorker", "WorkerStatus"]
@@ -77,7 +77,12 @@ class ViewportWorker:
         self._stopping = False
         self._picture: Picture | None = None
         self._status = WorkerStatus()
+        self.device = ""
+        """Warp's name of the session's device, once it is open."""
+        self.share_pictures = False
+        """Set by the main thread once it can draw pictures straight from the device (gl_interop.py)."""
         # Below: touched by the thread only.
+        self._reader: Any = None
         self._session: Any = None
         self._control: ResolutionControl | None = None
         self._levels: tuple[int, ...] = (1,)
@@ -225,6 +230,11 @@ class ViewportWorker:
     def _open(self, settings: RenderSettings) -> None:
         self._build(settings.device, self._show_progress, should_stop=lambda: self._stopping)
         self._session = self._session_factory(settings)
+        self.device = getattr(self._session, "device", "")
+        if hasattr(self._session, "resolve"):
+            from ..engine.display import PictureReader
+
+            self._reader = PictureReader(self.device)
         on_processor = str(getattr(self._session, "device_name", "cpu")).lower().startswith("cpu")
         self._control = ResolutionControl(first_divider=16 if on_processor else 4)
 
@@ -238,11 +248,14 @@ class ViewportWorker:
         self._level = 0
 
     @staticmethod
-    def _pixels(request: ViewRequest, divider: int) -> int:
+    def _rendered_size(request: ViewRequest, divider: int) -> tuple[int, int]:
         if request.crop is not None:
-            _, _, width, height = divided_crop(request.crop, divider)
-            return width * height
-        return divided_size(request.width, divider) * divided_size(request.height, divider)
+            return divided_crop(request.crop, divider)[2:]
+        return divided_size(request.width, divider), divided_size(request.height, divider)
+
+    def _pixels(self, request: ViewRequest, divider: int) -> int:
+        width, height = self._rendered_size(request, divider)
+        return width * height
 
     def _interrupted(self) -> bool:
         return self._stopping or self._pending
@@ -284,12 +297,22 @@ class ViewportWorker:
     def _publish(self, request: ViewRequest, divider: int, samples: int) -> None:
         start = time.perf_counter()
         self._picture_serial += 1
-        # The scene may show through where the film is transparent: those pictures carry their alpha.
-        self._picture = make_picture(
-            self._picture_serial, self._session.read("Combined"), picture_area(request, divider), samples=samples,
-            divider=divider, transparent=request.settings.film.transparent)
+        self._picture = Picture(serial=self._picture_serial, pixels=self._pixels_to_draw(request, divider),
+                                area=picture_area(request, divider), samples=samples, divider=divider)
         self._published_at = time.perf_counter()
         self._publish_cost = self._published_at - start
+
+    def _pixels_to_draw(self, request: ViewRequest, divider: int) -> Any:
+        transparent = request.settings.film.transparent
+        if self._reader is None:
+            return display_pixels(self._session.read("Combined"), transparent)
+        width, height = self._rendered_size(request, divider)
+        picture = self._session.resolve()
+        if self.share_pictures and self._reader.cuda:
+            return self._reader.on_device(picture, width, height)
+        if not transparent:
+            return self._reader.packed(picture, width, height)
+        return display_pixels(self._session.read("Combined"), transparent)
 
 
 def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:

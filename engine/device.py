@@ -100,7 +100,6 @@ def device_info(alias: str) -> DeviceInfo:
     """Return what is known about a device."""
     start_warp()
     device = wp.get_device(alias)
-    version = wp.context.runtime.driver_version if device.is_cuda else None
     return DeviceInfo(
         alias=alias,
         name=device.name,
@@ -108,7 +107,7 @@ def device_info(alias: str) -> DeviceInfo:
         total_memory=int(device.total_memory) if device.is_cuda else 0,
         free_memory=int(device.free_memory) if device.is_cuda else 0,
         warp_version=wp.config.version,
-        driver="" if version is None else str(version),
+        driver=".".join(map(str, wp.get_cuda_driver_version() or ())) if device.is_cuda else "",
     )
 
 

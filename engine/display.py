@@ -15,7 +15,7 @@ import warp as wp
 
 from ..kernels import display
 
-__all__ = ["DevicePicture", "GlTexture", "PictureReader", "can_share_textures"]
+__all__ = ["DevicePicture", "GlTexture", "PictureReader", "make_test_picture"]
 
 GL_TEXTURE_2D = 0x0DE1
 GL_TEXTURE_1D = 0x0DE0
@@ -31,6 +31,7 @@ class DevicePicture:
     def __init__(self, halves: wp.array):
         self.halves = halves
         self.height, self.width = halves.shape
+        self.device = str(halves.device)
 
 
 class PictureReader:
@@ -42,6 +43,11 @@ class PictureReader:
         self._pinned: wp.array | None = None
         self._ring: list[wp.array] = []
         self._turn = 0
+
+    @property
+    def cuda(self) -> bool:
+        """Whether pictures can stay on the device."""
+        return wp.get_device(self.device).is_cuda
 
     def packed(self, picture: wp.array, width: int, height: int) -> np.ndarray:
         """Return `picture` (vec4 [h * w] on the device) packed: float32 [h, w], bottom row first, owned by the caller.
@@ -72,9 +78,10 @@ class PictureReader:
         return DevicePicture(halves)
 
 
-def can_share_textures(device: str) -> bool:
-    """Tell whether GL textures could be registered with `device`: CUDA only; trying is the only real test."""
-    return wp.get_device(device).is_cuda
+def make_test_picture(device: str, size: int) -> tuple[np.ndarray, DevicePicture]:
+    """Return a square picture of distinct values on the device, and the same as float32 [size, size, 4]."""
+    values = np.arange(size * size * 4, dtype=np.float32).reshape(size, size, 4)
+    return values, DevicePicture(wp.array(values.astype(np.float16), dtype=wp.vec4h, device=device))
 
 
 class GlTexture:

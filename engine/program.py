@@ -8,21 +8,16 @@ expressions, leaves out what nothing uses, and allocates registers. Knows nothin
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
-import warp as wp
-
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
-from ..kernels.node_color import adjust_color, mix_color
-from ..kernels.node_math import math as node_math
-from ..kernels.node_vector import vector_math
+from .program_fold import fold
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, lay_out
 
-__all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "operation_names", "tangent_attribute"]
+__all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "tangent_attribute"]
 
 Vec4 = tuple[float, float, float, float]
 
@@ -54,16 +49,9 @@ SIMPLE_SLOTS = 9
 """Slots that BSDFs other than the Principled one pass"""
 
 
-@functools.cache
-def operation_names(family: str) -> dict[str, int]:
-    """Return the operations of one family (`MATH`, `VECTOR`, `MIX`, ...) by name."""
-    prefix = family + "_"
-    return {name.removeprefix(prefix): value for name, value in vars(codes).items() if name.startswith(prefix)}
-
-
-def code(family: str, name: str) -> int:
-    """Return the code of an operation; KeyError names what is unknown."""
-    return operation_names(family)[name]
+def operation_code(family: str, name: str) -> int:
+    """Return the code of an operation of a family (MATH, VECTOR, MIX, ...); KeyError names what is unknown."""
+    return vars(codes)[f"{family}_{name}"]
 
 
 @dataclass(frozen=True)
@@ -144,7 +132,7 @@ class ProgramBuilder:
             return self.constant(0.0)
         if name == "ADD" and 0.0 in (scalar(a), scalar(b)):
             return b if scalar(a) == 0.0 else a
-        return self._add(codes.OP_MATH, code("MATH", name), (a, b, c))
+        return self._add(codes.OP_MATH, operation_code("MATH", name), (a, b, c))
 
     def vector(self, name: str, a, b=0.0, c=0.0) -> Value:
         """Return a vector operation (names of Blender's Vector Math node and codes.VECTOR_*)."""
@@ -157,7 +145,7 @@ class ProgramBuilder:
             return a
         if name == "ADD" and scalar(a) == 0.0:
             return b
-        return self._add(codes.OP_VECTOR, code("VECTOR", name), (a, b, c))
+        return self._add(codes.OP_VECTOR, operation_code("VECTOR", name), (a, b, c))
 
     def combine(self, x, y, z) -> Value:
         """Return the vector of three numbers."""
@@ -181,11 +169,11 @@ class ProgramBuilder:
             return self.rgb(a)
         if scalar(factor) == 1.0 and name == "MIX":
             return self.rgb(b)
-        return self._add(codes.OP_MIX, code("MIX", name), (factor, a, b))
+        return self._add(codes.OP_MIX, operation_code("MIX", name), (factor, a, b))
 
     def color(self, name: str, a, b=0.0, c=0.0) -> Value:
         """Return a colour operation (codes.COLOR_*)."""
-        return self._add(codes.OP_COLOR, code("COLOR", name), (a, b, c))
+        return self._add(codes.OP_COLOR, operation_code("COLOR", name), (a, b, c))
 
     def luminance(self, color) -> Value:
         """Return the luminance of a colour by the working space's weights."""
@@ -199,7 +187,7 @@ class ProgramBuilder:
     def input(self, name: str, mask: int = 0) -> Value:
         """Return an input without a name of its own (codes.INPUT_*); `mask` is for RAY_KIND."""
         self.uses_camera |= name == "WINDOW"
-        return self._add(codes.OP_INPUT, code("INPUT", name), (0.0,), (mask, 0))
+        return self._add(codes.OP_INPUT, operation_code("INPUT", name), (0.0,), (mask, 0))
 
     def uv(self, name: str) -> Value:
         """Return the coordinate of a UV map; the empty name is the active render map."""
@@ -233,7 +221,7 @@ class ProgramBuilder:
             interpolation: 0 linear, 1 closest, 2 cubic.
             associate: Multiply the colour by alpha.
         """
-        sub = code("PROJECTION", projection) | extension << 4 | interpolation << 6
+        sub = operation_code("PROJECTION", projection) | extension << 4 | interpolation << 6
         sub |= codes.IMAGE_ASSOCIATE if associate else 0
         return self._add(codes.OP_IMAGE, sub, (self.rgb(coordinate),), (index_of(self.images, key),))
 
@@ -246,29 +234,29 @@ class ProgramBuilder:
     def ramp(self, name: str, table: bytes, value) -> Value:
         """Look `value` up in a table of float32 [RAMP_SIZE, 4] (codes.RAMP_*: LINEAR, CONSTANT, CURVES, ...)."""
         assert len(table) == codes.RAMP_SIZE * 16, len(table)
-        return self._add(codes.OP_RAMP, code("RAMP", name), (value,), (index_of(self.ramps, table),))
+        return self._add(codes.OP_RAMP, operation_code("RAMP", name), (value,), (index_of(self.ramps, table),))
 
     def procedural(self, name: str, coordinate, b=0.0, c=0.0) -> Value:
         """Return a texture without an image (codes.PROCEDURAL_*)."""
-        return self._add(codes.OP_PROCEDURAL, code("PROCEDURAL", name), (coordinate, b, c))
+        return self._add(codes.OP_PROCEDURAL, operation_code("PROCEDURAL", name), (coordinate, b, c))
 
     def white_noise(self, name: str, dimensions: int, coordinate, w) -> Value:
-        """Return a random number (WHITE_NOISE_1) or colour (WHITE_NOISE_COLOR_1) per coordinate of 1 to 4 dimensions."""
-        sub = code("PROCEDURAL", name) + dimensions - 1
+        """Return a random number (WHITE_NOISE_1) or colour (WHITE_NOISE_COLOR_1) of a coordinate."""
+        sub = operation_code("PROCEDURAL", name) + dimensions - 1
         return self._add(codes.OP_PROCEDURAL, sub, (coordinate, w, 0.0))
 
     def fresnel(self, name: str, value, normal=0.0) -> Value:
         """Return a weight by viewing angle (codes.FRESNEL_*); normal 0 is the shading normal."""
-        return self._add(codes.OP_FRESNEL, code("FRESNEL", name), (value, normal))
+        return self._add(codes.OP_FRESNEL, operation_code("FRESNEL", name), (value, normal))
 
     def space(self, name: str, value) -> Value:
         """Return a vector moved between object and world space (codes.SPACE_*)."""
-        return self._add(codes.OP_SPACE, code("SPACE", name), (value,))
+        return self._add(codes.OP_SPACE, operation_code("SPACE", name), (value,))
 
     def normal_map(self, space: str, color, strength, *, uv_map: str = "", tangent_attribute: str = "",
                    invert_green: bool = False, blender_axes: bool = False) -> Value:
         """Return the world-space normal of a normal map's texel; space is TANGENT, OBJECT or WORLD."""
-        sub = code("NORMAL", space)
+        sub = operation_code("NORMAL", space)
         sub |= codes.NORMAL_INVERT_GREEN if invert_green else 0
         sub |= codes.NORMAL_BLENDER_AXES if blender_axes else 0
         names = 0
@@ -356,15 +344,12 @@ class ProgramBuilder:
     def finish(self) -> Program:
         """Return the program. Raises RegisterOverflow where the graph needs more registers than there are."""
         constants: dict[Vec4, int] = {}
-        codes_by_program = {name: lay_out(self.values, self.sinks, name, constants) for name in "ste"}
-        first_row = len(constants)
-        relocated = {
-            name: tuple(move_rows(instruction, first_row) for instruction in instructions)
-            for name, instructions in codes_by_program.items()
-        }
+        listings = [lay_out(self.values, self.sinks, name, constants) for name in "ste"]
+        surface, transparency, emission = (
+            tuple(move_rows(instruction, len(constants)) for instruction in listing) for listing in listings)
         rows = [row for block in self.rows for row in block]
         return Program(
-            surface=relocated["s"], transparency=relocated["t"], emission=relocated["e"],
+            surface=surface, transparency=transparency, emission=emission,
             constants=tuple(constants) + tuple(rows), ramps=tuple(self.ramps), images=tuple(self.images),
             uv_maps=tuple(self.uv_maps), attributes=tuple(self.attributes), uses_camera=self.uses_camera,
         )
@@ -402,25 +387,6 @@ def move_rows(instruction: Instruction, first_row: int) -> Instruction:
     if head & 255 == codes.OP_TRANSFORM and z >= 0:
         return head, y, first_row + 3 * z, w
     return instruction
-
-
-def fold(op: int, sub: int, operands: list[Vec4]) -> Vec4 | None:
-    """Return an operation's constant result by calling the kernel's own function, None where that can't be done."""
-    vectors = [wp.vec3(*operand[:3]) for operand in operands]
-    try:
-        if op == codes.OP_MATH:
-            x = node_math(sub, operands[0][0], operands[1][0], operands[2][0])
-            return x, x, x, 0.0
-        if op == codes.OP_VECTOR:
-            return tuple(vector_math(sub, *(wp.vec4(*operand) for operand in operands)))
-        if op == codes.OP_MIX:
-            return (*mix_color(sub, operands[0][0], vectors[1], vectors[2]), 0.0)
-        if op == codes.OP_COLOR and sub != codes.COLOR_LUMINANCE:
-            return (*adjust_color(sub, *vectors, wp.vec3(0.0)), 0.0)
-    except (RuntimeError, ArithmeticError, ValueError):
-        # Some of Warp's functions exist in kernels only; the operation then stays in the program.
-        return None
-    return None
 
 
 def tangent_attribute(uv_map: str) -> str:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
-from ..kernels import film, reference
+from ..kernels import film
+from ..kernels.paths import Options
 from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
 from .errors import BurnishError, InvalidScene
@@ -163,7 +164,7 @@ class Session:
         with device_errors("the path states"):
             self._pass.render(
                 self._scene.scene, self._frame, self._options(), self._filter, self._film, target,
-                should_stop or (lambda: False), self._scene.structures.has_filtered)
+                should_stop or (lambda: False))
         self.stats.times["sampling"] = self.stats.times.get("sampling", 0.0) + time.perf_counter() - start
         return self._pass.samples_done
 
@@ -253,8 +254,8 @@ class Session:
             if self._scene.material_table.uses_camera:
                 self._scene.material_table.set_camera(self._camera, tuple(origin))
 
-    def _options(self) -> reference.Options:
-        paths, options = self.settings.light_paths, reference.Options()
+    def _options(self) -> Options:
+        paths, options = self.settings.light_paths, Options()
         options.max_bounces = paths.max_bounces
         options.roulette_start = paths.roulette_start
         options.clamp_direct = paths.clamp_direct
@@ -262,6 +263,7 @@ class Session:
         options.transparent = int(self.settings.film.transparent)
         options.exposure = self.settings.film.exposure
         options.passes = int(self._film.passes)
+        options.filtered = int(self._scene.structures.has_filtered)
         options.programs = int(self._scene.needs_programs)
         return options
 

@@ -100,7 +100,8 @@ class LightPathSettings:
     """How long light is followed and what is clamped."""
 
     max_bounces: int = setting(
-        0, "Longest light path in bounces (0: unlimited, ended by Russian roulette)", low=0, high=1024, soft_high=64)
+        0, "Most surfaces that a light path may meet before it ends (0: unlimited, ended by Russian roulette; "
+        "Cycles' Max Bounces counts one fewer)", low=0, high=1024, soft_high=64)
     roulette_start: int = setting(
         4, "Bounce from which Russian roulette may end a path; it never biases the picture", low=1, high=1024,
         soft_high=32)

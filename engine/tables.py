@@ -6,6 +6,7 @@ The file lies beside Warp's compiled kernels; a missing, outdated or damaged one
 
 from __future__ import annotations
 
+import contextlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -91,7 +92,8 @@ def save_tables(path: Path, arrays: dict[str, np.ndarray]) -> None:
         np.savez(temporary, version=TABLES_VERSION, **arrays)
         temporary.replace(path)
     except OSError:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def default_path() -> Path:

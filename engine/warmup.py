@@ -9,13 +9,13 @@ from collections.abc import Callable
 
 import warp as wp
 
-from ..kernels import albedo_tables, compaction, environment, film, flatten, reference
+from ..kernels import albedo_tables, compaction, environment, film, flatten, layers, reference, tracing
 from .device import start_warp
 from .errors import KernelBuildFailed
 
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
-KERNEL_MODULES = (flatten, environment, film, compaction, reference, albedo_tables)
+KERNEL_MODULES = (film, compaction, tracing, albedo_tables, flatten, environment, layers, reference)
 """Modules that own kernels, the quickest to build first."""
 
 _lock = threading.Lock()

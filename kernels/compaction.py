@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .reference import ENDED
+from .paths import ENDED
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

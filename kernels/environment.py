@@ -10,7 +10,6 @@ import warp as wp
 
 from .geometry_math import PI, TWO_PI, max_component, safe_sqrt
 from .nodes import evaluate_world
-from .sampling import sample_alias
 from .types import Environment, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -42,26 +41,21 @@ def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
 
 
 @wp.func
-def sample_environment(environment: Environment, u: wp.vec2) -> wp.vec3:
-    """Draw a direction from the table (uniform over the sphere where there is none)."""
+def sample_environment(environment: Environment, choice: wp.vec2, u: wp.vec2) -> wp.vec3:
+    """Draw a direction from the table (uniform over the sphere where there is none).
+
+    `choice` picks the texel, `u` the place in it: a table has too many texels to take both from one float.
+    """
     if environment.width == 0:
         z = 1.0 - 2.0 * u[0]
         r = safe_sqrt(1.0 - z * z)
         return wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
     count = environment.width * environment.height
-    texel = sample_alias(environment.probability, environment.alias, count, u[0])
-    # The fraction left over by the choice is uniform again and places the direction inside the texel.
-    scaled = u[0] * float(count)
-    remainder = scaled - wp.floor(scaled)
-    accepted = environment.probability[wp.min(int(scaled), count - 1)]
-    if remainder < accepted:
-        remainder = remainder / wp.max(accepted, 1.0e-20)
-    else:
-        remainder = (remainder - accepted) / wp.max(1.0 - accepted, 1.0e-20)
-    i = texel % environment.width
-    j = texel // environment.width
-    x = (float(i) + wp.min(remainder, 0.99999994)) / float(environment.width)
-    y = (float(j) + u[1]) / float(environment.height)
+    texel = wp.min(int(choice[0] * float(count)), count - 1)
+    if choice[1] >= environment.probability[texel]:
+        texel = environment.alias[texel]
+    x = (float(texel % environment.width) + u[0]) / float(environment.width)
+    y = (float(texel // environment.width) + u[1]) / float(environment.height)
     return equirect_direction(x, y)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3
-from .reference import Options, Paths
+from .paths import Options, Paths
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -61,10 +61,10 @@ def step_past(point: ShadingPoint, direction: wp.vec3, t: float) -> float:
 
 @wp.func
 def accept_hit(
-    scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, kind: int, depth: int, cone: wp.vec2,
+    scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, first: Hit, kind: int, depth: int, cone: wp.vec2,
     noise: wp.uint32,
 ) -> FilteredHit:
-    """Return the first layer that stops the ray, else the opaque hit.
+    """Return the first layer that stops the ray, else the opaque hit; `first` is the first layer.
 
     A layer of transparency T is passed with probability max(T) and the weight T / max(T); when it stops the ray the
     rest of its closures count by 1 / (1 - probability), so the expectation is exact.
@@ -73,12 +73,8 @@ def accept_hit(
     result.hit = opaque
     result.weight = wp.vec3(1.0, 1.0, 1.0)
     result.overrun = 0
-    start = float(0.0)
+    hit = first
     for layer in range(MAX_LAYERS):
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, opaque.t - start)
-        if hit.instance == MISS:
-            return result
-        hit.t = hit.t + start
         point = layer_point(scene, hit, direction, kind, depth, cone)
         transparency = layer_transparency(scene, point, kind)
         chance = wp.clamp(max_component(transparency), 0.0, 1.0)
@@ -93,22 +89,22 @@ def accept_hit(
         start = step_past(point, direction, hit.t)
         if start >= opaque.t:
             return result
+        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, opaque.t - start)
+        if hit.instance == MISS:
+            return result
+        hit.t = hit.t + start
     result.overrun = 1
     return result
 
 
 @wp.func
-def transmittance(scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, depth: int) -> wp.vec3:
+def transmittance(
+    scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, first: Hit, depth: int,
+) -> wp.vec3:
     """Return the product of all layers' transparency along a shadow ray that no opaque triangle blocks."""
     product = wp.vec3(1.0, 1.0, 1.0)
-    if scene.geometry.static_filtered_bvh == wp.uint64(0) and scene.geometry.instance_bvh == wp.uint64(0):
-        return product
-    start = float(0.0)
+    hit = first
     for _layer in range(MAX_LAYERS):
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
-        if hit.instance == MISS:
-            return product
-        hit.t = hit.t + start
         point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
         product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW))
         if max_component(product) <= 0.0:
@@ -116,4 +112,8 @@ def transmittance(scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: f
         start = step_past(point, direction, hit.t)
         if start >= distance:
             return product
+        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
+        if hit.instance == MISS:
+            return product
+        hit.t = hit.t + start
     return wp.vec3(0.0, 0.0, 0.0)

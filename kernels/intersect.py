@@ -15,7 +15,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
-from .types import Geometry, Instance, Scene, ShadingPoint
+from .types import Geometry, Scene, ShadingPoint
 
 # Nothing was hit.
 MISS = wp.constant(-1)

@@ -10,15 +10,15 @@ from __future__ import annotations
 import warp as wp
 
 from .environment import environment_pdf, sample_environment
-from .geometry_math import PI, TWO_PI, mean_component, orthonormal_tangent, safe_sqrt
+from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
 from .intersect import triangle_error, world_vertex
 from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle
 from .types import (
     LIGHT_AREA,
     LIGHT_ELLIPSE,
     LIGHT_ENVIRONMENT,
+    LIGHT_HITTABLE,
     LIGHT_NO_SHADOW,
-    LIGHT_POINT,
     LIGHT_SPHERE,
     LIGHT_SPOT,
     LIGHT_SUN,
@@ -179,7 +179,7 @@ def sample_lamp(light: Light, position: wp.vec3, u: wp.vec2) -> LightSample:
     s.kind = light.kind
     s.shadow = wp.where((light.flags & LIGHT_NO_SHADOW) != 0, 0, 1)
     s.visibility = light.visibility
-    s.delta = 0
+    s.delta = wp.where((light.flags & LIGHT_HITTABLE) != 0, 0, 1)
     s.error = 0.0
     if light.kind == LIGHT_SUN:
         s.distance = FAR
@@ -241,14 +241,17 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
 
 
 @wp.func
-def sample_light(scene: Scene, position: wp.vec3, choice: float, u: wp.vec2) -> LightSample:
-    """Choose one light by its weight and draw a direction to it; pdf includes the choice."""
+def sample_light(scene: Scene, position: wp.vec3, choice: float, texel: wp.vec2, u: wp.vec2) -> LightSample:
+    """Choose one light by its weight and draw a direction to it; pdf includes the choice.
+
+    `texel` is only used where the world is chosen.
+    """
     lights = scene.lights
     entry = sample_alias(lights.probability, lights.alias, lights.entry_count, choice)
     s = LightSample()
     if entry == lights.environment_entry:
         s.kind = LIGHT_ENVIRONMENT
-        s.wi = sample_environment(scene.environment, u)
+        s.wi = sample_environment(scene.environment, texel, u)
         s.pdf = environment_pdf(scene.environment, s.wi)
         s.distance = FAR
         s.radiance = wp.vec3(1.0, 1.0, 1.0)
@@ -263,41 +266,6 @@ def sample_light(scene: Scene, position: wp.vec3, choice: float, u: wp.vec2) -> 
     if not (s.pdf > 0.0):
         s.kind = -1
     return s
-
-
-@wp.func
-def lamp_hit(light: Light, origin: wp.vec3, direction: wp.vec3, t_max: float) -> LampHit:
-    """Intersect a ray with one lamp of finite size."""
-    hit = LampHit()
-    hit.t = -1.0
-    if light.kind == LIGHT_SUN:
-        # Compare chords, not cosines: 1 - cos of a narrow sun vanishes in float.
-        chord = direction + light.direction
-        if t_max >= FAR and 0.5 * wp.dot(chord, chord) <= light.one_minus_cos:
-            hit.t = FAR
-            hit.radiance = light.radiance
-            hit.pdf = 1.0 / (TWO_PI * light.one_minus_cos)
-        return hit
-    to_light = light.position - origin
-    if light.kind == LIGHT_AREA:
-        cosine = -wp.dot(direction, light.direction)
-        if cosine <= 1.0e-7:
-            return hit
-        t = -wp.dot(to_light, light.direction) / cosine
-        if t <= 0.0 or t >= t_max:
-            return hit
-        local = direction * t - to_light
-        x = wp.dot(local, light.axis_u) / wp.max(wp.dot(light.axis_u, light.axis_u), 1.0e-30)
-        y = wp.dot(local, light.axis_v) / wp.max(wp.dot(light.axis_v, light.axis_v), 1.0e-30)
-        inside = wp.abs(x) <= 0.5 and wp.abs(y) <= 0.5
-        if (light.flags & LIGHT_ELLIPSE) != 0:
-            inside = x * x + y * y <= 0.25
-        if inside:
-            hit.t = t
-            hit.radiance = light.radiance * spread_attenuation(light, -direction)
-            hit.pdf = t * t / (cosine * light.area)
-        return hit
-    return round_lamp_hit(light, to_light, direction, t_max)
 
 
 @wp.func
@@ -338,6 +306,41 @@ def round_lamp_hit(light: Light, to_light: wp.vec3, direction: wp.vec3, t_max: f
 
 
 @wp.func
+def lamp_hit(light: Light, origin: wp.vec3, direction: wp.vec3, t_max: float) -> LampHit:
+    """Intersect a ray with one lamp of finite size."""
+    hit = LampHit()
+    hit.t = -1.0
+    if light.kind == LIGHT_SUN:
+        # Compare chords, not cosines: 1 - cos of a narrow sun vanishes in float.
+        chord = direction + light.direction
+        if t_max >= FAR and 0.5 * wp.dot(chord, chord) <= light.one_minus_cos:
+            hit.t = FAR
+            hit.radiance = light.radiance
+            hit.pdf = 1.0 / (TWO_PI * light.one_minus_cos)
+        return hit
+    to_light = light.position - origin
+    if light.kind == LIGHT_AREA:
+        cosine = -wp.dot(direction, light.direction)
+        if cosine <= 1.0e-7:
+            return hit
+        t = -wp.dot(to_light, light.direction) / cosine
+        if t <= 0.0 or t >= t_max:
+            return hit
+        local = direction * t - to_light
+        x = wp.dot(local, light.axis_u) / wp.max(wp.dot(light.axis_u, light.axis_u), 1.0e-30)
+        y = wp.dot(local, light.axis_v) / wp.max(wp.dot(light.axis_v, light.axis_v), 1.0e-30)
+        inside = wp.abs(x) <= 0.5 and wp.abs(y) <= 0.5
+        if (light.flags & LIGHT_ELLIPSE) != 0:
+            inside = x * x + y * y <= 0.25
+        if inside:
+            hit.t = t
+            hit.radiance = light.radiance * spread_attenuation(light, -direction)
+            hit.pdf = t * t / (cosine * light.area)
+        return hit
+    return round_lamp_hit(light, to_light, direction, t_max)
+
+
+@wp.func
 def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, direction: wp.vec3, t: float) -> float:
     """Return the pdf of light sampling for a ray that met a triangle at distance t; 0 if it is not sampled."""
     lights = scene.lights
@@ -360,9 +363,3 @@ def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, dir
     if projected <= 0.0:
         return 0.0
     return lights.weight[lights.lamp_count + emitter] * t * t / projected
-
-
-@wp.func
-def light_importance(radiance: wp.vec3) -> float:
-    """Return the scalar by which lights are weighed."""
-    return mean_component(radiance)

@@ -262,7 +262,7 @@ PROCEDURAL_WAVE = wp.constant(10)
 PROCEDURAL_MAGIC = wp.constant(11)
 """b = (depth, distortion, 0)"""
 PROCEDURAL_BRICK = wp.constant(12)
-"""b = (offset, offset frequency, squash), c = (squash frequency, brick width, row height): (random, edge distance, 0)"""
+"""b = (offset, offset frequency, squash), c = (squash frequency, brick width, row height); see node_noise.brick"""
 PROCEDURAL_BRICK_MORTAR = wp.constant(13)
 """Share of mortar at the edge distance a.x: b = (mortar size, smoothness, 0)"""
 PROCEDURAL_WHITE_NOISE_1 = wp.constant(16)

@@ -196,7 +196,8 @@ def evaluate_world(
     point.instance = -1
     point.footprint = footprint
     point.ray_visibility = ray_visibility
-    point.ray_depth = ray_depth
+    # Cycles counts the light that a ray ends in as one bounce further.
+    point.ray_depth = ray_depth + 1
     # Cycles' length of a ray that met nothing, as far as sums of squares stay finite.
     point.ray_length = 1.0e18
     return run(scene, point, scene.materials.world_start, 0.0).emission

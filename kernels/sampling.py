@@ -23,7 +23,8 @@ DIMENSION_LOBE = wp.constant(1)
 DIMENSION_LIGHT = wp.constant(2)
 DIMENSION_LIGHT_CHOICE = wp.constant(3)
 """x: which light, y: Russian roulette"""
-DIMENSION_TRANSPARENCY = wp.constant(4)
+DIMENSION_TEXEL = wp.constant(4)
+"""Texel of the world's table"""
 
 # Warp writes literals above 2^31 as signed numbers; typed constants keep them unsigned.
 BITS_846CA68B = wp.constant(wp.uint32(0x846CA68B))
@@ -185,7 +186,7 @@ def sample_triangle(u: wp.vec2) -> wp.vec2:
 
 @wp.func
 def sample_alias(probability: wp.array[float], alias: wp.array[int], count: int, u: float) -> int:
-    """Draw an index from an alias table (Vose 1991) with one number."""
+    """Draw an index from an alias table (Vose 1991) with one number; for tables far smaller than 2^24."""
     scaled = u * float(count)
     index = wp.min(int(scaled), count - 1)
     if scaled - float(index) < probability[index]:

@@ -180,17 +180,23 @@ def chi_squared_score(observed: np.ndarray, expected: np.ndarray) -> float:
     return ((statistic / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
 
 
-def sphere_grid(rows: int, columns: int, fine: int) -> np.ndarray:
-    """Return the centres of rows * fine x columns * fine cells of equal area on the sphere, float[n, 3]."""
-    z = (np.arange(rows * fine) + 0.5) / (rows * fine) * 2 - 1
-    phi = (np.arange(columns * fine) + 0.5) / (columns * fine) * 2 * np.pi
+def sphere_grid(rows: int, columns: int, fine: tuple[int, int]) -> np.ndarray:
+    """Return the centres of rows * fine[0] x columns * fine[1] cells of equal area on the sphere, float[n, 3]."""
+    z = (np.arange(rows * fine[0]) + 0.5) / (rows * fine[0]) * 2 - 1
+    phi = (np.arange(columns * fine[1]) + 0.5) / (columns * fine[1]) * 2 * np.pi
     z, phi = np.meshgrid(z, phi, indexing="ij")
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1).reshape(-1, 3)
 
 
+def counts_due(pdf: np.ndarray, rows: int, columns: int, fine: tuple[int, int], count: int) -> np.ndarray:
+    """Return how many of `count` directions belong in each cell, from pdfs on a sphere_grid."""
+    cells = pdf.astype(np.float64).reshape(rows, fine[0], columns, fine[1]).sum((1, 3))
+    return cells * (4 * np.pi / pdf.size * count)
+
+
 def count_on_sphere(directions: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Return how many directions fall in each cell of sphere_grid(rows, columns, 1)."""
+    """Return how many directions fall in each cell of sphere_grid(rows, columns, (1, 1))."""
     z = np.clip(((directions[:, 2] + 1) / 2 * rows).astype(int), 0, rows - 1)
     phi = np.arctan2(directions[:, 1], directions[:, 0]) % (2 * np.pi)
     column = np.clip((phi / (2 * np.pi) * columns).astype(int), 0, columns - 1)

@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ...engine.report import Report, ReportKind
+from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances",
@@ -90,14 +91,19 @@ class Gathered:
     placements: list[Placement] = field(default_factory=list)
     materials: dict[Hashable, bpy.types.Material] = field(default_factory=dict)
     """Evaluated materials by session_uid"""
-    rows: list[int] = field(default_factory=list)
-    """Placement of each instance"""
-    random_ids: np.ndarray | None = None
+    rows: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """int64 [N], placement of each instance"""
+    random_ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint32))
     """uint32 [N]"""
-    transforms: np.ndarray | None = None
+    transforms: np.ndarray = field(default_factory=lambda: np.empty((0, 4, 4)))
     """float64 [N, 4, 4]"""
-    persistent_ids: np.ndarray | None = None
+    persistent_ids: np.ndarray = field(default_factory=lambda: np.empty((0, 8), np.int32))
     """int32 [N, 8]"""
+
+    @property
+    def source_of(self) -> np.ndarray:
+        """int64 [P], source of each placement."""
+        return np.array([placement.source for placement in self.placements], np.int64)
 
 
 def gather_instances(depsgraph: bpy.types.Depsgraph, *, space: bpy.types.SpaceView3D | None, report: Report,
@@ -108,38 +114,33 @@ def gather_instances(depsgraph: bpy.types.Depsgraph, *, space: bpy.types.SpaceVi
         ExtractionCancelled: `cancelled` returned True.
     """
     walk = _Walk(depsgraph, space, report)
-    lookup, rows, indices, random_ids = walk.placement_by_key, walk.gathered.rows, [], []
-    total = 0
+    lookup, found, random_ids = walk.placement_by_key, [], []
     for index, instance in enumerate(depsgraph.object_instances):
-        total = index + 1
         item = instance.object
         data = item.data
         if data is None:
-            continue
-        if instance.is_instance:
-            key = (instance.instance_object.as_pointer(), data.as_pointer(), instance.parent.as_pointer())
+            placement = -1
         else:
-            key = (item.as_pointer(), data.as_pointer(), 0)
-        placement = lookup.get(key)
-        if placement is None:
-            placement = lookup[key] = walk.add(instance)
-        if placement >= 0:
-            indices.append(index)
-            rows.append(placement)
-            random_ids.append(instance.random_id)
-        if cancelled is not None and index % _CANCEL_INTERVAL == 0 and cancelled():
+            if instance.is_instance:
+                key = (instance.instance_object.as_pointer(), data.as_pointer(), instance.parent.as_pointer())
+            else:
+                key = (item.as_pointer(), data.as_pointer(), 0)
+            placement = lookup.get(key)
+            if placement is None:
+                placement = lookup[key] = walk.add(instance)
+        found.append(placement)
+        random_ids.append(instance.random_id)
+        if index % _CANCEL_INTERVAL == 0 and cancelled is not None and cancelled():
             raise ExtractionCancelled
-    _read_numbers(walk.gathered, depsgraph, np.array(indices, np.int64), random_ids, total)
+    _read_numbers(walk.gathered, depsgraph, np.array(found, np.int64), np.array(random_ids, np.int64))
     return walk.gathered
 
 
 def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Report) -> InstanceTable:
     """Return the table of all mesh instances whose source has a key in `mesh_keys` (None: nothing to draw)."""
-    placements, sources = gathered.placements, gathered.sources
-    rows = np.array(gathered.rows, np.int64)
-    source_of = np.array([placement.source for placement in placements], np.int64)
+    placements, sources, rows, source_of = gathered.placements, gathered.sources, gathered.rows, gathered.source_of
     drawn = np.array([key is not None for key in mesh_keys], bool)
-    keep = drawn[source_of[rows]] if len(rows) else np.zeros(0, bool)
+    keep = drawn[source_of[rows]]
     keep &= _invertible(gathered, rows, report, keep)
     rows = rows[keep]
     by_source = source_of[rows]
@@ -205,6 +206,7 @@ class _Walk:
         visibility = self._visibility(item, parent, owner.name)
         if not visibility & Visibility.ALL:
             return -1
+        self._report_linking(owner)
         source = self._source(owner, item)
         parent_uid = parent.original.session_uid if instance.is_instance else None
         self.gathered.placements.append(Placement(source, parent_uid, visibility))
@@ -226,6 +228,12 @@ class _Walk:
             if system.settings.type == 'HAIR' and system.settings.render_type == 'PATH':
                 self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'",
                                 "particle hair is not drawn in this version")
+
+    def _report_linking(self, owner: bpy.types.Object) -> None:
+        linking = owner.light_linking
+        if linking is not None and (linking.receiver_collection or linking.blocker_collection):
+            self.report.add(ReportKind.APPROXIMATED, f"object '{owner.name}'",
+                            "light and shadow linking are ignored in this version: it lights and shades everything")
 
     def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object, name: str) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""
@@ -277,40 +285,40 @@ def _ray_visibility(item: bpy.types.Object) -> Visibility:
     return visibility
 
 
-def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, indices: np.ndarray, random_ids: list[int],
-                  total: int) -> None:
-    """Fill the arrays of `gathered` for the instances at `indices` of all `total`."""
-    instances = depsgraph.object_instances
-    matrices = np.empty(total * 16, np.float32)
+def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.ndarray,
+                  random_ids: np.ndarray) -> None:
+    """Fill the arrays of `gathered` from all instances' placements (-1: not drawn) and random ids."""
+    instances, count = depsgraph.object_instances, len(found)
+    drawn = found >= 0
+    rows = gathered.rows = found[drawn]
+    matrices = np.empty(count * 16, np.float32)
     instances.foreach_get("matrix_world", matrices)
     # Blender's matrices are column-major.
-    gathered.transforms = matrices.reshape(-1, 4, 4)[indices].transpose(0, 2, 1).astype(np.float64)
-    parents = np.array([placement.parent_uid is None for placement in gathered.placements], bool)
-    rows = np.array(gathered.rows, np.int64)
-    is_self = parents[rows] if len(rows) else np.zeros(0, bool)
-    persistent = np.full((total, 8), _UNUSED_PERSISTENT_ID, np.int32)
+    gathered.transforms = matrices.reshape(-1, 4, 4)[drawn].transpose(0, 2, 1).astype(np.float64)
+    is_self = np.array([placement.parent_uid is None for placement in gathered.placements], bool)[rows]
+    persistent = np.full((count, 8), _UNUSED_PERSISTENT_ID, np.int32)
     if not is_self.all():
         instances.foreach_get("persistent_id", persistent.reshape(-1))
-    gathered.persistent_ids = persistent[indices]
-    source_random = np.array([gathered.sources[placement.source].random_id for placement in gathered.placements],
-                             np.uint32)
-    own = source_random[rows] if len(rows) else np.zeros(0, np.uint32)
-    given = (np.array(random_ids, np.int64) & 0xFFFFFFFF).astype(np.uint32)
-    gathered.random_ids = np.where(is_self, own, given)
+    gathered.persistent_ids = persistent[drawn]
+    own = np.array([source.random_id for source in gathered.sources], np.int64)[gathered.source_of[rows]]
+    gathered.random_ids = np.where(is_self, own, random_ids[drawn] & 0xFFFFFFFF).astype(np.uint32)
 
 
 def _invertible(gathered: Gathered, rows: np.ndarray, report: Report, drawn: np.ndarray) -> np.ndarray:
-    """Return bool [N]: the transform is finite and has an inverse; the others are reported by object."""
+    """Return bool [N]: the transform is within limits and has an inverse; the others are reported by object."""
     linear = gathered.transforms[:, :3, :3]
     with np.errstate(all="ignore"):
         lengths = np.linalg.norm(linear, axis=1)
         determinant = np.einsum("ni,ni->n", linear[:, :, 0], np.cross(linear[:, :, 1], linear[:, :, 2]))
         good = np.abs(determinant) > _SINGULAR * lengths.prod(axis=1)
-        good &= np.isfinite(gathered.transforms).all(axis=(1, 2))
-    for row in rows[~good & drawn]:
-        name = gathered.sources[gathered.placements[row].source].name
-        report.add(ReportKind.SKIPPED, f"object '{name}'", "has a scale of zero or a broken transform and was left out")
-    return good
+        # Written so that NaN fails.
+        near = (np.abs(gathered.transforms) <= COORDINATE_LIMIT).all(axis=(1, 2))
+    far = "has a broken transform, or is further away or larger than 1e9 m, and was left out"
+    for failed, message in ((near & ~good, "has a scale of zero, which leaves nothing to draw"), (~near, far)):
+        for row in rows[failed & drawn]:
+            name = gathered.sources[gathered.placements[row].source].name
+            report.add(ReportKind.SKIPPED, f"object '{name}'", message)
+    return near & good
 
 
 def _object_keys(gathered: Gathered, rows: np.ndarray, persistent_ids: np.ndarray) -> list[Hashable]:

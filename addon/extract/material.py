@@ -29,6 +29,17 @@ FROM_REC709 = {
 }
 
 
+class _ImageNeeded(Exception):
+    """A lamp's node tree reads an image."""
+
+
+class _NoImages:
+    """Image collector of lamps, whose trees are reduced to a constant."""
+
+    def key(self, image, image_user=None):
+        raise _ImageNeeded
+
+
 def make_graph(tree, images, report: Report, owner: str, *, world: bool = False) -> Graph:
     """Return a graph over an inlined tree, ready to compile in the file's working space."""
     graph = Graph(tree, ProgramBuilder(), images, report, owner, world=world)
@@ -164,14 +175,14 @@ def extract_light_factor(light: bpy.types.Light, report: Report) -> tuple[float,
         return 1.0, 1.0, 1.0
     owner = f"light '{light.name}'"
     inlined = bpy.types.InlineShaderNodes.from_light(light)
-    graph = make_graph(inlined.node_tree, None, report, owner)
+    graph = make_graph(inlined.node_tree, _NoImages(), report, owner)
     output = output_node(inlined.node_tree)
     source = graph.source(output, "Surface") if output is not None else None
     if source is None:
         return 0.0, 0.0, 0.0
     try:
         add_shader(graph, source[0], graph.builder.constant(1.0))
-    except (AttributeError, RecursionError):
+    except (_ImageNeeded, RecursionError):
         report.add(ReportKind.APPROXIMATED, owner, "has an image or too many nodes in its tree, which is ignored")
         return 1.0, 1.0, 1.0
     factor = graph.builder.constant_emission()

@@ -51,8 +51,10 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
     Returns:
         A MeshData that may have no triangles at all.
     """
-    corner_vertices = _read_corner_vertices(mesh)
-    intact = not len(corner_vertices) or bool(corner_vertices.view(np.uint32).max() < len(mesh.vertices))
+    if not len(mesh.loops) or not len(mesh.vertices):
+        return _empty_mesh(mesh.name)  # which may lack even the attributes read below
+    corner_vertices = _read(mesh.attributes['.corner_vert'].data, 'value', np.int32, len(mesh.loops))
+    intact = bool(corner_vertices.view(np.uint32).max() < len(mesh.vertices))
     if not intact and len(mesh.loops) != 3 * len(mesh.polygons):
         # Blender itself would read beyond the vertices while it splits the polygons.
         report.add(ReportKind.SKIPPED, owner, "names vertices that don't exist and was left out; run Mesh > Clean Up")
@@ -87,8 +89,6 @@ class _Gather:
     def expand(self, values: np.ndarray, domain: str) -> np.ndarray:
         """Return [T, 3, C] of the [N, C] `values` on `domain` ('POINT', 'CORNER' or 'FACE')."""
         if domain == 'POINT':
-            if not len(values):
-                return np.zeros((len(self.vertices), 3, values.shape[-1]), values.dtype)
             # The mesh may name vertices that don't exist; sanitize_mesh drops those triangles afterwards.
             result = values.take(self.vertices, axis=0, mode='clip')
         elif domain == 'CORNER':
@@ -115,13 +115,6 @@ def _empty_mesh(name: str) -> MeshData:
                     material_slots=np.empty(0, np.int32), corner_normals=np.empty((0, 3, 3), np.float32))
 
 
-def _read_corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
-    """Return int32 [L], the vertex of each corner."""
-    if not len(mesh.loops):
-        return np.empty(0, np.int32)
-    return _read(mesh.attributes['.corner_vert'].data, 'value', np.int32, len(mesh.loops))
-
-
 def _read_triangles(mesh: bpy.types.Mesh) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return the corners [3T] and the face [T] of each triangle; (None, None) where every face is a triangle."""
     mesh.calc_loop_triangles()
@@ -146,7 +139,7 @@ def _read_material_slots(mesh: bpy.types.Mesh, faces: np.ndarray | None, slot_co
 
 def _read_corner_normals(mesh: bpy.types.Mesh, gather: _Gather, intact: bool) -> np.ndarray:
     """Return float32 [T, 3, 3]; flat faces, sharp edges and custom normals are already in Blender's own."""
-    if not len(mesh.loops) or not intact:
+    if not intact:
         return np.zeros((len(gather.vertices), 3, 3), np.float32)  # sanitize_mesh puts in face normals
     return gather.expand(_read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3), 'CORNER')
 

@@ -22,6 +22,9 @@ Translator = Callable[["Graph", Any, str], Value]
 TRANSLATORS: dict[str, Translator] = {}
 """By bl_idname: (graph, node, identifier of the output) to its value"""
 
+UNEXPECTED = (AttributeError, KeyError, IndexError, TypeError, ValueError)
+"""What a node of an older or newer Blender may lead to: an option, a socket or a property that isn't known"""
+
 MEAN_VALUE = 0.5
 """Stands in for what isn't evaluated"""
 
@@ -129,19 +132,20 @@ class Graph:
         """Return the value of a node's output."""
         key = (node.name, socket.identifier)
         if key not in self.results:
-            translator = TRANSLATORS.get(node.bl_idname)
-            if translator is None:
-                self.results[key] = self.stand_in(node, socket)
-            else:
+            translator = TRANSLATORS.get(node.bl_idname, stand_in)
+            try:
                 self.results[key] = translator(self, node, socket.identifier)
+            except UNEXPECTED as error:
+                self.tell(node, f"could not be read ({error}); {MEAN_VALUE} stands in for its output", ReportKind.ERROR)
+                self.results[key] = self.builder.constant(MEAN_VALUE)
         return self.results[key]
 
-    def stand_in(self, node, socket) -> Value:
-        """Return a constant for an output of a node that isn't evaluated, and say so."""
-        self.tell(node, f"is not evaluated; {MEAN_VALUE} stands in for its output")
-        if socket.type == "VECTOR":
-            return self.builder.constant(0.0)
-        return self.builder.constant(MEAN_VALUE)
+
+def stand_in(graph: Graph, node, output: str) -> Value:
+    """Return a constant for an output of a node that isn't evaluated, and say so."""
+    graph.tell(node, f"is not evaluated; {MEAN_VALUE} stands in for its output")
+    is_vector = find(node.outputs, output).type == "VECTOR"
+    return graph.builder.constant(0.0 if is_vector else MEAN_VALUE)
 
 
 def find(sockets, identifier: str):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from ...engine.program import Value
 from ...engine.report import ReportKind
-from .node_graph import Graph
+from .node_graph import UNEXPECTED, Graph
 from .node_inputs import perturbed_normal
 
 __all__ = ["add_shader"]
@@ -32,7 +32,10 @@ def add_shader(graph: Graph, node, weight: Value) -> None:
         if node.bl_idname in ("ShaderNodeMixShader", "ShaderNodeAddShader"):
             pending += branches(graph, node, weight)
         elif node.bl_idname in SHADERS:
-            SHADERS[node.bl_idname](graph, node, weight)
+            try:
+                SHADERS[node.bl_idname](graph, node, weight)
+            except UNEXPECTED as error:
+                graph.tell(node, f"could not be read ({error}); it counts as black", ReportKind.ERROR)
         else:
             graph.tell(node, "is not a shader that can be drawn; it counts as black", ReportKind.SKIPPED)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from mathutils import Euler, Matrix
 
 from ...engine.program import Value
+from ...engine.report import ReportKind
 from .node_graph import MEAN_VALUE, Graph, translates
 from .node_inputs import is_identity
 
@@ -36,12 +37,18 @@ def coordinate(graph: Graph, node, default: str) -> Value:
     return vector if is_identity(rows) else build.transform(rows, vector)
 
 
+def missing(graph: Graph, node, output: str) -> Value:
+    """Return magenta for a node without an image, as Cycles draws it."""
+    graph.tell(node, "has no image; drawn magenta", ReportKind.MISSING)
+    return graph.builder.constant(1.0 if output == "Alpha" else (1.0, 0.0, 1.0))
+
+
 @translates("ShaderNodeTexImage")
 def image_node(graph: Graph, node, output: str) -> Value:
     """Image Texture; its colour is multiplied by alpha unless the Alpha output is used, as in Cycles."""
     build = graph.builder
     if node.image is None:
-        return build.constant(0.0)
+        return missing(graph, node, output)
     if node.interpolation in ('Cubic', 'Smart'):
         graph.tell(node, "asks for cubic interpolation; it is drawn with linear interpolation")
     options = {
@@ -73,13 +80,12 @@ def environment_node(graph: Graph, node, output: str) -> Value:
     """Environment Texture."""
     build = graph.builder
     if node.image is None:
-        return build.constant(0.0)
+        return missing(graph, node, output)
     graph.widths.append(node.image.size[0])
     projection = "MIRROR_BALL" if node.projection == 'MIRROR_BALL' else "EQUIRECTANGULAR"
     return build.image(
         graph.images.key(node.image, node.image_user), coordinate(graph, node, "POSITION"), projection=projection,
-        extension=EXTENSIONS['EXTEND'] if projection == "MIRROR_BALL" else EXTENSIONS['REPEAT'],
-        interpolation=INTERPOLATIONS[node.interpolation], associate=True)
+        extension=EXTENSIONS['REPEAT'], interpolation=INTERPOLATIONS[node.interpolation], associate=True)
 
 
 def scaled(graph: Graph, node) -> Value:
@@ -191,8 +197,19 @@ def unevaluated_node(graph: Graph, node, output: str) -> Value:
     return graph.builder.constant(MEAN_VALUE)
 
 
+SKY_MEANS = {
+    'SINGLE_SCATTERING': (2.3, 2.9, 3.7), 'MULTIPLE_SCATTERING': (2.7, 4.3, 6.8), 'PREETHAM': (0.44, 0.64, 1.13),
+    'HOSEK_WILKIE': (0.06, 0.10, 0.16),
+}
+"""Mean radiance of the upper hemisphere without the sun, measured in Blender 5.2 with the node's defaults"""
+
+
 @translates("ShaderNodeTexSky")
 def sky_node(graph: Graph, node, output: str) -> Value:
-    """Sky Texture: a plain blue."""
-    graph.tell(node, "is not computed: a plain blue without a sun stands in for the sky")
-    return graph.builder.constant((0.25, 0.4, 0.7))
+    """Sky Texture: the sky's mean colour above the horizon, nearly nothing below, no sun."""
+    build = graph.builder
+    graph.tell(node, "is not computed: the mean colour of such a sky stands in for it, without the sun")
+    up = build.component(coordinate(graph, node, "POSITION"), 2)
+    above = build.math("MAP_SMOOTHSTEP", up, -0.02, 0.02)
+    mean = SKY_MEANS.get(node.sky_type, SKY_MEANS['MULTIPLE_SCATTERING'])
+    return build.vector("MULTIPLY", mean, build.math("MULTIPLY_ADD", above, 0.97, 0.03))

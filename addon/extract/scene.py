@@ -12,8 +12,9 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
 
-from ...engine.report import Report
+from ...engine.report import Report, ReportKind
 from ...engine.scene import (
     InstanceTable,
     LightData,
@@ -167,6 +168,8 @@ class SceneExtractor:
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
+            if depsgraph.mode == 'RENDER' and depsgraph.scene.render.use_motion_blur:
+                self._walk_report.add(ReportKind.SKIPPED, "", "motion blur is not drawn in this version")
             self._extract_meshes(delta, gathered, changes, callbacks)
             self._extract_lights(delta, gathered, changes)
             self._extract_materials(delta, gathered, changes, images, callbacks)
@@ -221,15 +224,15 @@ class SceneExtractor:
         lights = []
         if changes.everything:
             self._light_factors.clear()
-        for index, row in enumerate(gathered.rows):
-            placement = gathered.placements[row]
+        is_light = np.array([source.is_light for source in gathered.sources], bool)
+        for index in np.flatnonzero(is_light[gathered.source_of[gathered.rows]]):
+            placement = gathered.placements[gathered.rows[index]]
             source = gathered.sources[placement.source]
-            if source.is_light:
-                light = extract_light(source.data, gathered.transforms[index].copy(), placement.visibility,
-                                      self._light_factor(source.data, changes), f"light '{source.name}'",
-                                      self._walk_report)
-                if light is not None:
-                    lights.append(light)
+            light = extract_light(source.data, gathered.transforms[index].copy(), placement.visibility,
+                                  self._light_factor(source.data, changes), f"light '{source.name}'",
+                                  self._walk_report)
+            if light is not None:
+                lights.append(light)
         if not same_lights(lights, self._lights):
             delta.lights = lights
             self.counts.lights = len(lights)

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels import compaction, film, reference
+from ...kernels import compaction, film, layers, reference, tracing
+from ...kernels.paths import ENDED, Options, Paths
 from ...kernels.types import FrameData, Scene
 from ..device import run_bands
-from ..settings import RenderSettings
 
 __all__ = ["FilmBuffers", "ReferencePass"]
 
@@ -38,16 +38,17 @@ def _vectors(count: int, dtype: type, device: str) -> wp.array:
     return wp.zeros(count, dtype=dtype, device=device)
 
 
-def make_paths(count: int, passes: bool, device: str) -> reference.Paths:
+def make_paths(count: int, passes: bool, device: str) -> Paths:
     """Allocate the states of `count` paths."""
-    paths = reference.Paths()
+    paths = Paths()
     extra = count if passes else 1
     for name, dtype in (
         ("state", int), ("seed", wp.uint32), ("index", wp.uint32), ("origin", wp.vec3), ("direction", wp.vec3),
         ("t", float), ("hit", wp.vec2i), ("barycentrics", wp.vec2), ("throughput", wp.vec3), ("radiance", wp.vec4),
         ("pdf", float), ("kind", int), ("cone", wp.vec2), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3),
         ("shadow_distance", float), ("shadow_light", wp.vec3), ("shadow_pending", int),
-        ("shadow_emitter", wp.vec2i), ("shadow_barycentrics", wp.vec2),
+        ("shadow_emitter", wp.vec2i), ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i),
+        ("layer_barycentrics", wp.vec2),
     ):
         setattr(paths, name, _vectors(count, dtype, device))
     for name in ("surface_normal", "surface_position", "surface_uv"):
@@ -100,7 +101,7 @@ class _Band:
 class _Slot:
     """What one worker needs to trace paths."""
 
-    paths: reference.Paths
+    paths: Paths
     identity: wp.array
     queues: tuple[wp.array, wp.array] | None
     counter: wp.array | None
@@ -164,8 +165,8 @@ class ReferencePass:
             self.slots.append(slot)
 
     def render(
-        self, scene: Scene, frame: np.ndarray, options: reference.Options, filter_table: wp.array, buffers: FilmBuffers,
-        target: int, should_stop: Callable[[], bool], filtered: bool,
+        self, scene: Scene, frame: np.ndarray, options: Options, filter_table: wp.array, buffers: FilmBuffers,
+        target: int, should_stop: Callable[[], bool],
     ) -> None:
         """Bring every band to `target` samples, or stop as soon as `should_stop` says so.
 
@@ -177,7 +178,6 @@ class ReferencePass:
             buffers: The film.
             target: Samples per pixel that every band shall have.
             should_stop: Polled between launches.
-            filtered: Whether the scene has triangles that need a test per hit.
         """
         while True:
             low = self.samples_done
@@ -187,17 +187,17 @@ class ReferencePass:
             if self.cuda:
                 for band in behind:
                     count = max(1, min(self.capacity // band.count, target - low, 64))
-                    self._trace_band(band, count, scene, frame, options, filter_table, buffers, should_stop, filtered)
+                    self._trace_band(band, count, scene, frame, options, filter_table, buffers, should_stop)
             else:
                 def job(band: _Band) -> Callable[[], None]:
                     return lambda: self._trace_band(
-                        band, 1, scene, frame, options, filter_table, buffers, should_stop, filtered)
+                        band, 1, scene, frame, options, filter_table, buffers, should_stop)
 
                 run_bands(job(band) for band in behind)
 
     def _trace_band(
-        self, band: _Band, count: int, scene: Scene, frame: np.ndarray, options: reference.Options,
-        filter_table: wp.array, buffers: FilmBuffers, should_stop: Callable[[], bool], filtered: bool,
+        self, band: _Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
+        filter_table: wp.array, buffers: FilmBuffers, should_stop: Callable[[], bool],
     ) -> None:
         """Trace `count` samples of a band and add them to the film; an interrupted batch leaves no trace."""
         if should_stop():
@@ -207,7 +207,7 @@ class ReferencePass:
             row = frame.copy()
             row["sample"] = band.samples
             slot.frame.assign(row)
-            if self._trace(slot, band, count, scene, options, filter_table, should_stop, filtered):
+            if self._trace(slot, band, count, scene, options, filter_table, should_stop):
                 wp.launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film],
@@ -217,25 +217,28 @@ class ReferencePass:
             self._give_slot(slot)
 
     def _trace(
-        self, slot: _Slot, band: _Band, count: int, scene: Scene, options: reference.Options, filter_table: wp.array,
-        should_stop: Callable[[], bool], filtered: bool,
+        self, slot: _Slot, band: _Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
+        should_stop: Callable[[], bool],
     ) -> bool:
         device = self.device
         paths, total = slot.paths, band.count * count
         if options.passes == 1:
             wp.launch(film.clear_surfaces, total, [], [paths], device=device)
-        wp.launch(reference.generate_paths, total, [slot.frame, filter_table, band.first, band.count], [paths],
+        wp.launch(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count], [paths],
                   device=device)
         queue, living = slot.identity, total
         for bounce in range(BOUNCE_STOP):
             self.rays += living
-            wp.launch(reference.trace_paths, living, [scene, queue], [paths], device=device)
-            if filtered:
-                wp.launch(reference.filter_paths, living, [scene, queue], [paths], device=device)
+            wp.launch(tracing.trace_paths, living, [scene, queue], [paths], device=device)
+            if options.filtered == 1:
+                wp.launch(tracing.trace_layers, living, [scene, queue], [paths], device=device)
+                wp.launch(layers.filter_paths, living, [scene, queue], [paths], device=device)
             wp.launch(reference.shade_paths, living, [slot.frame, scene, options, queue], [paths], device=device)
-            wp.launch(reference.trace_shadows, living, [scene, options, bounce, queue], [paths], device=device)
+            wp.launch(tracing.trace_shadows, living, [scene, options, bounce, queue], [paths], device=device)
+            if options.filtered == 1:
+                wp.launch(tracing.trace_shadow_layers, living, [scene, options, bounce, queue], [paths], device=device)
             if options.programs == 1:
-                wp.launch(reference.shade_shadows, living, [scene, options, bounce, queue], [paths], device=device)
+                wp.launch(layers.shade_shadows, living, [scene, options, bounce, queue], [paths], device=device)
             if should_stop():
                 return False
             if self.cuda:
@@ -244,7 +247,7 @@ class ReferencePass:
                 wp.launch(compaction.append_living, living, [paths.state, queue], [following, slot.counter],
                           device=device)
                 living, queue = int(slot.counter.numpy()[0]), following
-            elif not (paths.state.numpy()[:total] != int(reference.ENDED)).any():
+            elif not (paths.state.numpy()[:total] != int(ENDED)).any():
                 living = 0
             if living == 0:
                 return True

@@ -8,7 +8,6 @@ import warnings
 
 import bpy
 import numpy as np
-
 from burnish.addon.extract.scene import ExtractionCancelled, SceneExtractor
 from burnish.engine.report import Report
 from burnish.engine.scene import Visibility

@@ -240,7 +240,9 @@ class Harness:
             pixels = np.array(image.pixels[:], np.float32).reshape(height, width, 4)
             info = np.zeros((), dtype=TextureInfo.numpy_dtype())
             info["width"], info["height"], info["levels"] = width, height, 1
-            info["offset"], info["format"], info["alpha"] = sum(map(len, texels)), 3, 2 if image.is_float else 1
+            info["offset"], info["format"], info["alpha"] = sum(map(len, texels)), 3, 1
+            if image.alpha_mode == 'CHANNEL_PACKED' or image.colorspace_settings.is_data:
+                info["alpha"] = 0
             info["srgb"] = image.colorspace_settings.name == 'sRGB' and not image.is_float
             infos.append(info)
             texels.append(pixels[::-1].reshape(-1, 4))

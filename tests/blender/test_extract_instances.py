@@ -86,6 +86,7 @@ finish(counts={name: found.count(name) for name in set(found)}, unique=len(set(t
 def test_flags_and_materials(run_extraction):
     """Pass on ray visibility, holdouts, overrides, slot links, colours and indices as Cycles does."""
     result = run_extraction(r'''
+from burnish.addon.extract.instances import object_random_id
 red, blue = material("Red"), material("Blue")
 shared = quad_mesh("Shared"); shared.materials.append(red); shared.materials.append(None)
 shared.polygons[0].material_index = 7
@@ -97,6 +98,7 @@ hidden = link("Hidden", shared)
 for name in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
     setattr(hidden, "visible_" + name, False)
 hole = link("Hole", shared); hole.is_holdout = True
+group = bpy.data.collections.new("Receivers"); hole.light_linking.receiver_collection = group
 catcher = link("Catcher", shared); catcher.is_shadow_catcher = True
 cut = bpy.data.collections.new("Cut"); bpy.context.scene.collection.children.link(cut); link("In Cut", shared, cut)
 far = bpy.data.collections.new("Far"); bpy.context.scene.collection.children.link(far); link("In Far", shared, far)
@@ -120,7 +122,8 @@ finish(flags=flags, instanced=int(table.visibility[row("Plain", True)]), names=n
        plain=material_names(row("Plain")), linked=material_names(row("Linked")),
        meshes=len(delta.meshes), slots=next(iter(delta.meshes.values())).material_slots.tolist(),
        color=table.color[row("Dim")].tolist(), index=int(table.pass_index[row("Dim")]),
-       random=int(table.random_id[row("Plain")]), messages=report.text(),
+       hashes=[object_random_id("Cube") / 0xFFFFFFFF, object_random_id("Würfel") / 0xFFFFFFFF],
+       own=int(table.random_id[row("Plain")]) == object_random_id("Plain"), messages=report.text(),
        override=[len(set(override.instances.material_sets)), len(override.instances.material_sets[0])])
 ''')
     everything, camera, glossy, shadow, holdout, catcher = 63, 1, 4, 16, 64, 128
@@ -132,8 +135,32 @@ finish(flags=flags, instanced=int(table.visibility[row("Plain", True)]), names=n
     assert result["plain"] == ["Red", None] and result["linked"] == ["Blue", None]
     assert result["meshes"] == 1 and result["slots"] == [1, 1], "a slot beyond the last is the last"
     assert result["color"] == [0.25, 0.5, 0.75, 1.0] and result["index"] == 9
+    # As Cycles 5.2.3 renders Object Info's Random for objects of these names.
+    assert result["hashes"] == pytest.approx([0.31314194, 0.57020688], abs=1e-6) and result["own"]
+    assert "object 'Hole': light and shadow linking are ignored" in result["messages"]
     assert "shadow catchers are not drawn" in result["messages"]
     assert result["override"] == [1, 2]
+
+
+def test_viewport_visibility_and_empty_scenes(run_extraction):
+    """Hide what a viewport hides, and hand over empty tables where there is nothing."""
+    result = run_extraction(r'''
+link("Item", quad_mesh("Item")); link("Lamp", bpy.data.lights.new("Lamp", 'SUN'))
+space = next(area.spaces[0] for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D')
+shown, _, extractor = extract_all(space=space)
+space.show_object_viewport_mesh = False
+hidden, _, _ = extract_all(extractor, space=space)
+bpy.ops.wm.read_factory_settings(use_empty=True)
+empty, report, _ = extract_all()
+def shapes(table):
+    return [list(array.shape) for array in (table.transforms, table.mesh_index, table.visibility, table.color,
+                                            table.random_id)]
+finish(shown=names(shown.instances), hidden=shapes(hidden.instances), lights=hidden.lights is None,
+       empty=shapes(empty.instances), nothing=[empty.full, empty.lights, len(empty.meshes), report.text()])
+''')
+    nothing = [[0, 4, 4], [0], [0], [0, 4], [0]]
+    assert result["shown"] == ["Item"] and result["hidden"] == nothing and result["lights"]
+    assert result["empty"] == nothing and result["nothing"] == [True, [], 0, ""]
 
 
 def test_odd_transforms(run_extraction):
@@ -158,18 +185,8 @@ finish(names=names(table), text=report.text(),
     assert all(row == [0.0, 0.0, 0.0, 1.0] for row in result["bottom"])
 
 
-def test_random_id_is_cycles_hash(run_extraction):
-    """Hash names as Cycles does: value checked against the picture that Cycles 5.2 makes of Object Info."""
-    result = run_extraction(r'''
-from burnish.addon.extract.instances import object_random_id
-finish(cube=object_random_id("Cube") / 0xFFFFFFFF, accent=object_random_id("Würfel") / 0xFFFFFFFF)
-''')
-    assert result["cube"] == pytest.approx(0.31314194, abs=1e-6)
-    assert result["accent"] == pytest.approx(0.57020688, abs=1e-6)
-
-
 def test_large_instance_counts_are_quick(run_extraction):
-    """Walk over 10,000 instances in well under a second (90,000 take 0.35 s on two cores)."""
+    """Walk over 10,000 instances within a second of processor time (0.05 s measured; 90,000 take 0.4 s)."""
     result = run_extraction(r'''
 import time
 grid = instance_grid("Grid", 100)
@@ -177,11 +194,11 @@ view = Viewport()
 view.after(lambda: None)
 def move():
     grid.location.x = 1
-start = time.perf_counter()
+start = time.process_time()
 moved = view.after(move)
-finish(seconds=time.perf_counter() - start, moved=moved, count=len(view.delta.instances.mesh_index),
-       dynamic=int(view.delta.instances.dynamic.sum()), used=view.delta.extra["extract_seconds"])
+finish(seconds=time.process_time() - start, moved=moved, count=len(view.delta.instances.mesh_index),
+       dynamic=int(view.delta.instances.dynamic.sum()))
 ''')
     assert result["count"] == result["dynamic"] == 10_000
     assert result["moved"]["meshes"] <= 1, "geometry nodes may be evaluated again, but only the cube is sent"
-    assert result["used"] < 1.0
+    assert result["seconds"] < 1.0

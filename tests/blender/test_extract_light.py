@@ -14,7 +14,8 @@ def lamp(name, kind, **values):
     for key, value in values.items():
         setattr(light, key, value)
     return link(name, light)
-point = lamp("Point", 'POINT', energy=10, color=(1, 0.5, 0.25), exposure=2, shadow_soft_size=0.3, use_soft_falloff=False)
+point = lamp("Point", 'POINT', energy=10, color=(1, 0.5, 0.25), exposure=2, shadow_soft_size=0.3,
+             use_soft_falloff=False)
 point.location = (1, 2, 3)
 lamp("Warm", 'POINT', energy=2, use_temperature=True, temperature=3000, normalize=False, use_shadow=False)
 lamp("Sun", 'SUN', energy=3, angle=0.1)

@@ -15,7 +15,8 @@ def check(item):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depsgraph.update()
     delta, _, _ = extract_all()
-    found = next(data for data in delta.meshes.values() if data.name == item.data.name)
+    table = delta.instances
+    found = delta.meshes[table.mesh_keys[table.mesh_index[names(table).index(item.name)]]]
     mesh = item.evaluated_get(depsgraph).data
     mesh.calc_loop_triangles()
     loops = [loop for triangle in mesh.loop_triangles for loop in triangle.loops]
@@ -85,14 +86,17 @@ add("edge", 'FLOAT', 'EDGE', [1.0] * 4)
 mesh.color_attributes.new("Tint", 'FLOAT_COLOR', 'POINT').data.foreach_set("color", np.arange(16.0))
 mesh.color_attributes.new("Paint", 'BYTE_COLOR', 'CORNER').data.foreach_set("color", [0.5, 0.25, 1.0, 0.5] * 4)
 mesh.color_attributes.render_color_index = 1
+link("Item", mesh)
+delta, _, _ = extract_all()
+found, = delta.meshes.values()
 for number in range(20):
     add(f"extra {number}", 'FLOAT', 'POINT', [1.0] * 4)
-link("Item", mesh)
-delta, report, _ = extract_all()
-found, = delta.meshes.values()
+full, report, _ = extract_all()
+limited, = full.meshes.values()
 values = {name: found.attributes[name].tolist() for name in
           ("weight", "number", "flag", "flat", "arrow", "Tint", "Paint") if name in found.attributes}
-finish(values=values, triangles=found.triangles.tolist(), names=list(found.attributes), text=report.text(),
+finish(values=values, triangles=found.triangles.tolist(), names=list(found.attributes),
+       limited=list(limited.attributes), text=report.text(),
        shapes=sorted({str(array.shape) for array in found.attributes.values()}))
 ''')
     triangles, values = result["triangles"], result["values"]
@@ -110,7 +114,8 @@ finish(values=values, triangles=found.triangles.tolist(), names=list(found.attri
     assert flat("Tint") == [[4.0 * index + channel for channel in range(4)] for index in corners]
     assert flat("Paint")[0] == pytest.approx([0.5, 0.25, 1.0, 0.5], abs=0.01)
     assert result["names"][:2] == ["Paint", "Tint"], "the colour attribute active for rendering comes first"
-    assert len(result["names"]) == 2 + 16 and "edge" not in result["names"]
+    assert len(result["names"]) == 7 and "edge" not in result["names"]
+    assert len(result["limited"]) == 2 + 16 and result["limited"][:2] == ["Paint", "Tint"]
     assert "attributes beyond the first 16 were left out" in result["text"]
 
 
@@ -131,7 +136,8 @@ left, _, _ = extract_all(extractor)
 after, _, _ = extract_all()
 def describe(delta):
     return [[len(data.triangles), list(data.uv_maps)] for data in delta.meshes.values()]
-finish(editing=describe(editing), counts=counts, edited=describe(edited), left=describe(left), after=describe(after), instances=len(after.instances.mesh_index))
+finish(editing=describe(editing), counts=counts, edited=describe(edited), after=describe(after),
+       instances=len(after.instances.mesh_index))
 ''')
     assert result["editing"] == [[2, ["Map"]]] * result["counts"]
     assert [8, ["Map"]] in result["edited"], "an edit shows before edit mode is left"

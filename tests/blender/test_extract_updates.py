@@ -154,3 +154,31 @@ finish(raised=raised, full=delta.full, meshes=len(delta.meshes), told=told,
     assert result["again"] == [False, 0, True, 0]
     assert any("Reading mesh 'A'" in text for text, _ in result["told"])
     assert all(0.0 <= fraction <= 1.0 for _, fraction in result["told"])
+
+
+def test_node_groups_and_images(run_extraction):
+    """Notice an edit inside a node group, an assigned image and new pixels in it."""
+    result = run_extraction(SCENE + r'''
+group = bpy.data.node_groups.new("Group", 'ShaderNodeTree')
+group.interface.new_socket("Value", in_out='OUTPUT', socket_type='NodeSocketFloat')
+value, output = group.nodes.new('ShaderNodeValue'), group.nodes.new('NodeGroupOutput')
+group.links.new(value.outputs[0], output.inputs[0])
+nodes, links = paint.node_tree.nodes, paint.node_tree.links
+user = nodes.new('ShaderNodeGroup'); user.node_tree = group
+links.new(user.outputs[0], nodes['Principled BSDF'].inputs['Roughness'])
+view.after(lambda: None)
+edited = view.after(lambda: setattr(value.outputs[0], "default_value", 0.3))
+image = bpy.data.images.new("Image", 4, 4)
+texture = nodes.new('ShaderNodeTexImage'); texture.image = image
+links.new(texture.outputs[0], nodes['Principled BSDF'].inputs['Base Color'])
+assigned = [view.after(lambda: None), len(view.delta.images)]
+def repaint():
+    image.pixels[0:4] = [1, 0, 0, 1]
+    image.update()
+    image.update_tag()
+painted = [view.after(repaint), len(view.delta.images)]
+finish(edited=edited, assigned=assigned, painted=painted)
+''')
+    assert result["edited"]["materials"] == 1 and result["edited"]["meshes"] == 0
+    assert result["assigned"][0]["materials"] == 1 and result["assigned"][1] == 1
+    assert result["painted"][1] == 1 and result["painted"][0]["materials"] == 0

@@ -250,3 +250,25 @@ text = report.published_text()
 assert "Noise Texture replaced by its mean" in text and "volumes are not drawn" in text, text
 assert "Triangles: 12" in text, text
 """)
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_animation_keeps_its_session_with_persistent_data(run_host, tmp_path, persistent):
+    """Open a session for each frame, or one for all with Persistent Data; close all of them in the end."""
+    run_host(f"""
+render.use_persistent_data = {persistent}
+render.filepath = {str(tmp_path) + "/"!r}
+scene.frame_end = 3
+bpy.ops.render.render(animation=True)
+assert len(FakeSession.opened) == (1 if {persistent} else 3), len(FakeSession.opened)
+assert [picture[3].frame for picture in pictures] == [1, 2, 3]
+if {persistent}:
+    FakeSession.fail_in = "step"
+    try:
+        bpy.ops.render.render()
+        raise SystemExit("the operator did not raise")
+    except RuntimeError:
+        pass
+assert all(session.closed for session in FakeSession.opened)
+""")
+    assert len(list(tmp_path.iterdir())) == 3

@@ -171,3 +171,13 @@ def test_importing_the_engine_loads_no_bpy(run_python):
     result = run_python("import sys, burnish, burnish.addon, burnish.engine.session\n"
                         "assert 'bpy' not in sys.modules; print('done')")
     assert result.stdout.strip() == "done", result.stderr
+
+
+def test_registering_loads_no_warp(run_python):
+    """Register quickly: Warp and OpenImageIO are loaded by the first render only."""
+    run(run_python, """
+import sys
+burnish.register()
+assert "warp" not in sys.modules and "OpenImageIO" not in sys.modules
+burnish.unregister()
+""")

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Forced failures through the command line: one sentence, exit status 1 and no file, or else a correct picture.
 
-The scenes are built once by Blender in a child process; each render is a child process of its own.
+The scenes are built once, by Blender in a child process. A second one renders them all, one command after another as
+a farm's worker does; each test looks at its own command. Only what breaks the process itself has one of its own.
 """
 
 from __future__ import annotations
 
-import os
+import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -90,6 +91,57 @@ save("transparent")
 
 WORLD = (0.5, 0.25, 0.125)
 
+COMMANDS = {
+    "no_camera": "no_camera.blend",
+    "unknown_camera": "empty.blend --camera Left",
+    "unknown_view_layer": "empty.blend --view-layer Fog",
+    "garbage": "garbage.blend",
+    "cut": "cut.blend",
+    "no_cuda": "empty.blend --device cuda",
+    "unwritable": "empty.blend --output {folder}/garbage.blend/a.exr",
+    "empty": "empty.blend",
+    "nothing": "nothing.blend",
+    "transparent": "transparent.blend",
+    "border": "border.blend",
+    "missing_image": "missing_image.blend",
+    "nan_mesh": "nan_mesh.blend",
+    "1x1": "empty.blend --size 1 1 --samples 1",
+    "16384x3": "empty.blend --size 16384 3 --samples 1",
+    "3x517": "empty.blend --size 3 517 --samples 1",
+    "time": "empty.blend --time 0.5",
+    "png": "empty.blend --output {folder}/png.png",
+}
+"""Arguments of `burnish render` by the test that looks at them; two samples, the processor and NAME.exr by default."""
+
+BATCH = """
+import json, os, tempfile
+from burnish.addon.cli import main
+
+folder, commands = sys.argv[1], json.loads(sys.argv[2])
+results = {}
+for name, text in commands.items():
+    arguments = text.format(folder=folder).split()
+    arguments[0] = os.path.join(folder, arguments[0])
+    for option, default in (("--output", f"{folder}/{name}.exr"), ("--samples", "2"), ("--device", "cpu")):
+        if option not in arguments and not (option == "--samples" and "--time" in arguments):
+            arguments += [option, default]
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as error:
+        sys.stdout.flush()
+        saved = os.dup(1), os.dup(2)
+        os.dup2(out.fileno(), 1)
+        os.dup2(error.fileno(), 2)
+        status = main(["render", *arguments])
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os.dup2(saved[0], 1)
+        os.dup2(saved[1], 2)
+        out.seek(0)
+        error.seek(0)
+        results[name] = {"status": status, "out": out.read(), "error": error.read()}
+with open(os.path.join(folder, "results.json"), "w") as file:
+    json.dump(results, file)
+"""
+
 
 @pytest.fixture(scope="module")
 def scenes(run_python: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -102,69 +154,79 @@ def scenes(run_python: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def expect_failure(burnish: Run, tmp_path: Path) -> Callable[..., str]:
-    """Return a function that runs `burnish render`, expects failure, and returns the sentence."""
+@pytest.fixture(scope="module")
+def results(scenes: Path, run_python: Run) -> dict[str, dict]:
+    """Return exit status, output and errors of every command."""
+    process = run_python(BATCH, scenes, json.dumps(COMMANDS), environment={"CUDA_VISIBLE_DEVICES": "-1"}, timeout=300)
+    assert process.returncode == 0, process.stdout + process.stderr
+    return json.loads((scenes / "results.json").read_text())
 
-    def expect(scene: Path, *options: object, **keywords: object) -> str:
-        process = burnish("render", scene, "--output", tmp_path / "picture.exr", *options, **keywords)
-        assert process.returncode == 1, process.stdout + process.stderr
-        assert process.stdout == ""
-        assert process.stderr.count("\n") == 1, process.stderr
-        assert process.stderr.endswith(".\n")
-        assert list(tmp_path.iterdir()) == []
-        return process.stderr.strip()
+
+@pytest.fixture
+def sentence(results: dict[str, dict], scenes: Path) -> Callable[[str], str]:
+    """Return a function that expects that a command failed in the right way and returns its sentence."""
+
+    def expect(name: str) -> str:
+        result = results[name]
+        assert result["status"] == 1, result
+        assert result["out"] == ""
+        assert result["error"].count("\n") == 1, result["error"]
+        assert result["error"].endswith(".\n")
+        assert not list(scenes.glob(f"*{name}*.exr"))
+        return result["error"].strip()
 
     return expect
 
 
 @pytest.fixture
-def render(burnish: Run, tmp_path: Path) -> Callable[..., tuple[np.ndarray, list[str]]]:
-    """Return a function that renders to an EXR and returns its pixels (top row first) and what was printed."""
+def picture(results: dict[str, dict], scenes: Path) -> Callable[..., np.ndarray]:
+    """Return a function that expects that a command succeeded and returns its pixels, the top row first."""
 
-    def run(scene: Path, *options: object, samples: int = 2) -> tuple[np.ndarray, list[str]]:
-        path = tmp_path / "picture.exr"
-        process = burnish("render", scene, "--output", path, "--samples", samples, "--device", "cpu", *options)
-        assert process.returncode == 0, process.stdout + process.stderr
-        assert process.stderr == ""
+    def read(name: str, samples: int = 2) -> np.ndarray:
+        result, path = results[name], scenes / f"{name}.exr"
+        assert result["status"] == 0, result
+        assert result["error"] == ""
         pixels = oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)
-        lines = process.stdout.splitlines()
-        assert lines[-1].startswith(f"{path} {pixels.shape[1]}x{pixels.shape[0]} {samples} samples ")
+        last = result["out"].splitlines()[-1]
+        assert last.startswith(f"{path} {pixels.shape[1]}x{pixels.shape[0]} {samples} samples "), last
         assert np.isfinite(pixels).all()
         assert (pixels >= 0.0).all()
-        return pixels, lines
+        return pixels
 
-    return run
+    return read
 
 
-def test_missing_camera(scenes: Path, expect_failure: Callable[..., str]) -> None:
+def test_missing_camera(sentence: Callable) -> None:
     """Name the camera as what is missing."""
-    assert "camera" in expect_failure(scenes / "no_camera.blend")
+    assert "camera" in sentence("no_camera")
 
 
-def test_unknown_camera(scenes: Path, expect_failure: Callable[..., str]) -> None:
+def test_unknown_camera(sentence: Callable) -> None:
     """Name the cameras that there are."""
-    sentence = expect_failure(scenes / "empty.blend", "--camera", "Left eye")
-    assert "'Left eye'" in sentence
-    assert "'Camera'" in sentence
+    assert "'Left'; it has 'Camera'" in sentence("unknown_camera")
 
 
-def test_unknown_view_layer(scenes: Path, expect_failure: Callable[..., str]) -> None:
+def test_unknown_view_layer(sentence: Callable) -> None:
     """Name the view layers that there are."""
-    assert "'ViewLayer'" in expect_failure(scenes / "empty.blend", "--view-layer", "Fog")
+    assert "'Fog'; it has 'ViewLayer'" in sentence("unknown_view_layer")
 
 
 @pytest.mark.parametrize("name", ["garbage", "cut"])
-def test_unreadable_scene(scenes: Path, expect_failure: Callable[..., str], name: str) -> None:
+def test_unreadable_scene(sentence: Callable, name: str) -> None:
     """Name the file that can't be opened."""
-    assert f"{name}.blend" in expect_failure(scenes / f"{name}.blend")
+    assert f"{name}.blend' can't be opened" in sentence(name)
 
 
-def test_missing_device(scenes: Path, expect_failure: Callable[..., str]) -> None:
+def test_missing_device(sentence: Callable) -> None:
     """Say that there is no CUDA device and what to do; never render on another one silently."""
-    sentence = expect_failure(scenes / "empty.blend", "--device", "cuda", environment={"CUDA_VISIBLE_DEVICES": "-1"})
-    assert "CUDA" in sentence
-    assert "cpu" in sentence
+    text = sentence("no_cuda")
+    assert "CUDA" in text
+    assert "cpu" in text
+
+
+def test_unwritable_output(sentence: Callable) -> None:
+    """Say that the picture can't be saved where its folder is a file."""
+    assert "can't be saved" in sentence("unwritable")
 
 
 def test_failing_kernel(scenes: Path, run_python: Run, tmp_path: Path) -> None:
@@ -220,82 +282,73 @@ raise SystemExit(status)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_unwritable_output(scenes: Path, burnish: Run, tmp_path: Path) -> None:
-    """Say that the picture can't be saved where its folder is a file."""
-    blocker = tmp_path / "file"
-    blocker.write_text("")
-    process = burnish("render", scenes / "empty.blend", "-o", blocker / "a.exr", "--samples", 1, "--device", "cpu")
-    assert process.returncode == 1
-    assert "can't be saved" in process.stderr
-    assert process.stderr.count("\n") == 1
-
-
-def test_empty_scene_shows_the_world(scenes: Path, render: Callable) -> None:
+def test_empty_scene_shows_the_world(picture: Callable) -> None:
     """Render the world's colour exactly, with alpha 1."""
-    pixels, _ = render(scenes / "empty.blend")
-    np.testing.assert_allclose(pixels[..., :4], np.broadcast_to((*WORLD, 1.0), (16, 32, 4)), rtol=1e-5)
+    expected = np.broadcast_to((*WORLD, 1.0), (16, 32, 4))
+    np.testing.assert_allclose(picture("empty")[..., :4], expected, rtol=1e-5)
 
 
-def test_scene_with_nothing_is_black(scenes: Path, render: Callable) -> None:
+def test_scene_with_nothing_is_black(picture: Callable) -> None:
     """Render black where there is not even a world."""
-    pixels, _ = render(scenes / "nothing.blend")
-    assert (pixels[..., :3] == 0.0).all()
+    assert (picture("nothing")[..., :3] == 0.0).all()
 
 
-def test_transparent_film(scenes: Path, render: Callable) -> None:
+def test_transparent_film(picture: Callable) -> None:
     """Leave the world out, alpha included."""
-    pixels, _ = render(scenes / "transparent.blend")
-    assert (pixels[..., :4] == 0.0).all()
+    assert (picture("transparent")[..., :4] == 0.0).all()
 
 
-def test_border_keeps_the_frame(scenes: Path, render: Callable) -> None:
+def test_border_keeps_the_frame(picture: Callable) -> None:
     """Put the border's pixels (here the lower right quarter) where they belong in the full frame."""
-    pixels, _ = render(scenes / "border.blend")
+    pixels = picture("border")
     assert pixels.shape[:2] == (16, 32)
     np.testing.assert_allclose(pixels[8:, 16:, :3], np.broadcast_to(WORLD, (8, 16, 3)), rtol=1e-5)
     assert (pixels[:8] == 0.0).all()
     assert (pixels[:, :16] == 0.0).all()
 
 
-def test_missing_image_is_magenta_and_reported(scenes: Path, render: Callable) -> None:
+def test_missing_image_is_magenta_and_reported(picture: Callable, results: dict[str, dict]) -> None:
     """Draw an image that can't be read in magenta and name it."""
-    pixels, lines = render(scenes / "missing_image.blend")
+    pixels = picture("missing_image")
     np.testing.assert_allclose(pixels[..., :3], np.broadcast_to((1.0, 0.0, 1.0), (16, 32, 3)), atol=1e-5)
+    lines = results["missing_image"]["out"].splitlines()
     assert any("lost" in line and line.startswith("missing: ") for line in lines), lines
 
 
-def test_nan_mesh_is_dropped_and_reported(scenes: Path, render: Callable) -> None:
+def test_nan_mesh_is_dropped_and_reported(picture: Callable, results: dict[str, dict]) -> None:
     """Leave triangles with impossible corners out, show the rest, and say so."""
-    pixels, lines = render(scenes / "nan_mesh.blend")
+    pixels = picture("nan_mesh")
     np.testing.assert_allclose(pixels[..., :3], np.broadcast_to(WORLD, (16, 32, 3)), rtol=1e-5)
+    lines = results["nan_mesh"]["out"].splitlines()[:-1]
     assert any("Plane" in line for line in lines), lines
 
 
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (16384, 3), (3, 517)])
-def test_odd_sizes(scenes: Path, render: Callable, width: int, height: int) -> None:
+@pytest.mark.parametrize("name", ["1x1", "16384x3", "3x517"])
+def test_odd_sizes(picture: Callable, name: str) -> None:
     """Render sizes from one pixel to very wide."""
-    pixels, _ = render(scenes / "empty.blend", "--size", width, height, samples=1)
+    pixels = picture(name, samples=1)
+    width, height = map(int, name.split("x"))
     assert pixels.shape[:2] == (height, width)
     np.testing.assert_allclose(pixels[..., :3], np.broadcast_to(WORLD, (height, width, 3)), rtol=1e-5)
 
 
-def test_time_limit_ends_the_render(scenes: Path, burnish: Run, tmp_path: Path) -> None:
+def test_time_limit_ends_the_render(results: dict[str, dict], scenes: Path) -> None:
     """Stop after the given time with as many samples as fitted in."""
-    path = tmp_path / "picture.exr"
-    process = burnish("render", scenes / "empty.blend", "-o", path, "--time", 0.5, "--device", "cpu")
-    assert process.returncode == 0, process.stderr
-    samples = int(process.stdout.split()[-4])
+    samples = int(results["time"]["out"].split()[-4])
     assert samples > 1
-    assert oiio.ImageBuf(str(path)).spec().get_int_attribute("burnish:samples") == samples
+    assert oiio.ImageBuf(str(scenes / "time.exr")).spec().get_int_attribute("burnish:samples") == samples
 
 
-def test_png_goes_through_the_view_transform(scenes: Path, burnish: Run, tmp_path: Path) -> None:
+def test_png_goes_through_the_view_transform(results: dict[str, dict], scenes: Path) -> None:
     """Save sRGB-encoded bytes under the Standard view."""
-    path = tmp_path / "picture.png"
-    process = burnish("render", scenes / "empty.blend", "-o", path, "--samples", 1, "--device", "cpu")
-    assert process.returncode == 0, process.stderr
-    pixels = oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT) * 255.0
-    linear = np.array(WORLD)
-    expected = 255.0 * (1.055 * linear ** (1.0 / 2.4) - 0.055)
+    assert results["png"]["status"] == 0, results["png"]
+    pixels = oiio.ImageBuf(str(scenes / "png.png")).get_pixels(oiio.FLOAT) * 255.0
+    expected = 255.0 * (1.055 * np.array(WORLD) ** (1.0 / 2.4) - 0.055)
     np.testing.assert_allclose(pixels[..., :3], np.broadcast_to(expected, (16, 32, 3)), atol=1.0)
-    assert os.listdir(tmp_path) == ["picture.png"]
+
+
+def test_nothing_unfinished_is_left(results: dict[str, dict], scenes: Path) -> None:
+    """Leave no temporary file beside the pictures."""
+    assert not [entry.name for entry in scenes.iterdir() if entry.name.startswith(".")]
+    good = [name for name, result in results.items() if result["status"] == 0 and name != "png"]
+    assert {entry.stem for entry in scenes.glob("*.exr")} == set(good)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import subprocess
@@ -93,6 +94,16 @@ def test_readme_lists_current_settings() -> None:
     result = subprocess.run([sys.executable, ROOT / "tests" / "readme_settings.py"], capture_output=True, text=True,
                             timeout=60)
     assert result.returncode == 0, result.stderr
+
+
+def test_every_test_says_what_it_tests() -> None:
+    """Give every test a docstring of one imperative sentence."""
+    errors = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and not ast.get_docstring(node):
+                errors.append(f"{path.relative_to(ROOT)}:{node.lineno} {node.name} has no docstring")
+    assert not errors, "\n".join(errors)
 
 
 def test_importing_the_engine_does_not_load_blender() -> None:

@@ -7,7 +7,6 @@ import time
 
 import numpy as np
 import pytest
-
 from burnish.engine.report import Report
 from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, report_counts, sanitize_mesh
 from burnish.engine.scene import MeshData

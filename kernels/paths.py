@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""States of the paths that the path tracer's kernels hand to each other, and how light is added to them."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import is_finite3
+from .intersect import Hit
+
+# Paths.state
+ENDED = wp.constant(-1)
+
+# A material's program must be evaluated before a shadow ray's light counts.
+PENDING_NONE = wp.constant(0)
+PENDING_TRIANGLE = wp.constant(1)
+PENDING_WORLD = wp.constant(2)
+
+@wp.struct
+class Options:
+    """Settings of the path tracer that kernels read."""
+
+    max_bounces: int
+    roulette_start: int
+    clamp_direct: float
+    """0: off"""
+    clamp_indirect: float
+    transparent: int
+    """1: the world behind the scene leaves alpha 0"""
+    exposure: float
+    passes: int
+    """1: write Paths.surface_* and emission, environment at the first hit"""
+    filtered: int
+    """1: the scene has triangles that need a test per hit"""
+    programs: int
+    """1: shadow rays may need programs (those triangles, textured emitters, a world that varies)"""
+
+
+@wp.struct
+class Paths:
+    """States of all paths under way, one slot a path."""
+
+    state: wp.array[int]
+    """Bounces so far, or ENDED"""
+    seed: wp.array[wp.uint32]
+    """Of the pixel"""
+    index: wp.array[wp.uint32]
+    """Sample index"""
+    origin: wp.array[wp.vec3]
+    direction: wp.array[wp.vec3]
+    t: wp.array[float]
+    """Before tracing the ray's limit, after it the hit's distance"""
+    hit: wp.array[wp.vec2i]
+    """(instance, triangle); instance MISS for none"""
+    barycentrics: wp.array[wp.vec2]
+    throughput: wp.array[wp.vec3]
+    radiance: wp.array[wp.vec4]
+    """Gathered so far; w = alpha"""
+    pdf: wp.array[float]
+    """Of the BSDF sample that made the ray; 0 for camera rays and mirrors"""
+    kind: wp.array[int]
+    """VISIBLE_* bit of the ray"""
+    cone: wp.array[wp.vec2]
+    """Width [m] at the origin, spread [rad]"""
+    layer_t: wp.array[float]
+    """Distance to the first triangle that needs a test, before the opaque hit or the light"""
+    layer: wp.array[wp.vec2i]
+    """(instance, triangle) of it; instance MISS for none"""
+    layer_barycentrics: wp.array[wp.vec2]
+    shadow_origin: wp.array[wp.vec3]
+    shadow_direction: wp.array[wp.vec3]
+    shadow_distance: wp.array[float]
+    """0: no shadow ray"""
+    shadow_light: wp.array[wp.vec3]
+    """What arrives if nothing is in between"""
+    shadow_pending: wp.array[int]
+    shadow_emitter: wp.array[wp.vec2i]
+    shadow_barycentrics: wp.array[wp.vec2]
+    surface_normal: wp.array[wp.vec4]
+    """First hit: normal, depth"""
+    surface_position: wp.array[wp.vec4]
+    """First hit: position, object index"""
+    surface_uv: wp.array[wp.vec4]
+    """First hit: u, v, 1, material index"""
+    surface_emission: wp.array[wp.vec3]
+    environment: wp.array[wp.vec3]
+
+
+@wp.func
+def clamp_light(light: wp.vec3, limit: float) -> wp.vec3:
+    """Limit the sum of the channels, as Cycles clamps; 0 is no limit."""
+    total = wp.abs(light[0]) + wp.abs(light[1]) + wp.abs(light[2])
+    if limit > 0.0 and total > 3.0 * limit:
+        return light * (3.0 * limit / total)
+    return light
+
+
+@wp.func
+def add_light(paths: Paths, path: int, light: wp.vec3, limit: float):
+    """Add to a path's radiance; what is not finite is left out, so that one bad sample does not spoil a pixel."""
+    if is_finite3(light):
+        c = clamp_light(light, limit)
+        r = paths.radiance[path]
+        paths.radiance[path] = wp.vec4(r[0] + c[0], r[1] + c[1], r[2] + c[2], r[3])
+
+
+@wp.func
+def limit_at(options: Options, bounce: int) -> float:
+    """Return the clamp for light met after `bounce` bounces."""
+    if bounce <= 1:
+        return options.clamp_direct
+    return options.clamp_indirect
+
+
+@wp.func
+def load_hit(paths: Paths, path: int) -> Hit:
+    """Return the hit that a path has found."""
+    hit = Hit()
+    hit.t = paths.t[path]
+    hit.instance = paths.hit[path][0]
+    hit.triangle = paths.hit[path][1]
+    hit.u = paths.barycentrics[path][0]
+    hit.v = paths.barycentrics[path][1]
+    return hit
+
+
+@wp.func
+def store_hit(paths: Paths, path: int, hit: Hit):
+    """Store the hit that a path has found."""
+    paths.t[path] = hit.t
+    paths.hit[path] = wp.vec2i(hit.instance, hit.triangle)
+    paths.barycentrics[path] = wp.vec2(hit.u, hit.v)
+
+
+@wp.func
+def load_layer(paths: Paths, path: int) -> Hit:
+    """Return the first triangle on the way that needs a test."""
+    hit = Hit()
+    hit.t = paths.layer_t[path]
+    hit.instance = paths.layer[path][0]
+    hit.triangle = paths.layer[path][1]
+    hit.u = paths.layer_barycentrics[path][0]
+    hit.v = paths.layer_barycentrics[path][1]
+    return hit
+
+
+@wp.func
+def store_layer(paths: Paths, path: int, hit: Hit):
+    """Store the first triangle on the way that needs a test."""
+    paths.layer_t[path] = hit.t
+    paths.layer[path] = wp.vec2i(hit.instance, hit.triangle)
+    paths.layer_barycentrics[path] = wp.vec2(hit.u, hit.v)

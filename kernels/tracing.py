@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's thin kernels: camera rays, closest hits and shadow rays. They know no materials.
+
+Traversal is bound by registers and cache; keeping shading out of these kernels keeps many rays in flight.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .camera import camera_ray, filter_offset
+from .intersect import MISS, any_hit, closest_filtered_hit, closest_hit
+from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
+from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
+from .types import VISIBLE_CAMERA, FrameData, Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Pixel footprints are halved: samples are jittered over the pixel filter, which already blurs by a pixel.
+FOOTPRINT_SCALE = wp.constant(0.5)
+
+
+@wp.kernel
+def generate_paths(
+    # In:
+    frames: wp.array[FrameData],
+    filter_table: wp.array[float],
+    first_pixel: int,
+    pixel_count: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Start a path per pixel and sample: slot = sample * pixel_count + pixel."""
+    path = wp.tid()
+    frame = frames[0]
+    pixel = first_pixel + path % pixel_count
+    x = frame.crop_x + pixel % frame.crop_width
+    y = frame.crop_y + pixel // frame.crop_width
+    seed = pixel_seed_of(x, y, frame.seed)
+    index = wp.uint32(frame.sample + path // pixel_count)
+    jitter = sample_pair(seed, index, DIMENSION_FILTER)
+    film = wp.vec2(
+        float(x) + 0.5 + filter_offset(filter_table, jitter[0]),
+        float(y) + 0.5 + filter_offset(filter_table, jitter[1]))
+    ray = camera_ray(frame, film, sample_pair(seed, index, DIMENSION_LENS))
+    paths_out.state[path] = 0
+    paths_out.seed[path] = seed
+    paths_out.index[path] = index
+    paths_out.origin[path] = ray.origin
+    paths_out.direction[path] = ray.direction
+    paths_out.t[path] = ray.t_max
+    paths_out.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
+    paths_out.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    paths_out.pdf[path] = 0.0
+    paths_out.kind[path] = VISIBLE_CAMERA
+    paths_out.cone[path] = wp.vec2(frame.pixel_size, frame.spread) * FOOTPRINT_SCALE
+
+
+@wp.kernel
+def trace_paths(
+    # In:
+    scene: Scene,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find the closest opaque hit of every path in the queue."""
+    path = queue[wp.tid()]
+    if paths_out.state[path] == ENDED:
+        return
+    store_hit(paths_out, path, closest_hit(
+        scene.geometry, paths_out.origin[path], paths_out.direction[path], paths_out.t[path]))
+
+
+@wp.kernel
+def trace_layers(
+    # In:
+    scene: Scene,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find the first triangle that needs a test before each path's opaque hit; most have none."""
+    path = queue[wp.tid()]
+    if paths_out.state[path] == ENDED:
+        return
+    store_layer(paths_out, path, closest_filtered_hit(
+        scene.geometry, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path).t))
+
+
+@wp.kernel
+def trace_shadows(
+    # In:
+    scene: Scene,
+    options: Options,
+    bounce: int,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Trace the shadow rays against opaque triangles; add the light where no program is needed."""
+    path = queue[wp.tid()]
+    distance = paths_out.shadow_distance[path]
+    if distance == 0.0:
+        return
+    if distance > 0.0:
+        if any_hit(scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance):
+            paths_out.shadow_distance[path] = 0.0
+            return
+    if options.filtered == 0 and paths_out.shadow_pending[path] == PENDING_NONE:
+        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
+        paths_out.shadow_distance[path] = 0.0
+
+
+@wp.kernel
+def trace_shadow_layers(
+    # In:
+    scene: Scene,
+    options: Options,
+    bounce: int,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find the first triangle that needs a test on each shadow ray; add the light where there is none."""
+    path = queue[wp.tid()]
+    distance = paths_out.shadow_distance[path]
+    if distance == 0.0:
+        return
+    hit = closest_filtered_hit(
+        scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
+    store_layer(paths_out, path, hit)
+    if hit.instance == MISS and paths_out.shadow_pending[path] == PENDING_NONE:
+        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
+        paths_out.shadow_distance[path] = 0.0

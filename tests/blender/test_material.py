@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials, worlds and lamps as translated, against Cycles' pictures and against what their sockets say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+TOLERANCE = 1.0 / 255.0
+OUTLIERS = 4
+"""Of 256 pixels: Cycles' rays hit pixel centres to 1e-2 px only, which decides steps in functions that have any."""
+
+
+@pytest.fixture(scope="module")
+def run_nodes(run_python: Callable) -> Callable[[str], object]:
+    """Return a function that runs a script with everything of node_scenes.py and returns what it finished with."""
+    import json
+    from pathlib import Path
+
+    folder = str(Path(__file__).resolve().parent)
+    preamble = (
+        f"sys.path.insert(0, {folder!r})\nimport warp\nwarp.config.log_level = warp.LOG_ERROR\n"
+        "from node_scenes import *\nfrom node_graphs import *\nharness = Harness()\n")
+
+    def run(script: str) -> object:
+        process = run_python(preamble + script)
+        lines = [line for line in process.stdout.splitlines() if line.startswith("RESULT ")]
+        assert process.returncode == 0 and lines, process.stdout + process.stderr
+        return json.loads(lines[-1].removeprefix("RESULT "))
+
+    return run
+
+
+def check_family(run_nodes: Callable, family: str) -> None:
+    """Compare all graphs of one family of node_graphs.py with Cycles."""
+    found = run_nodes(f"finish(compare_all(harness, {family}()))")
+    assert found, family
+    wrong = {name: counts for name, counts in found.items() if counts["outliers"] > OUTLIERS}
+    assert not wrong, wrong
+
+
+@pytest.mark.parametrize("family", [
+    "coordinate_graphs", "math_graphs", "vector_graphs", "mix_graphs", "color_graphs", "mapping_graphs",
+    "image_graphs", "pattern_graphs", "normal_graphs",
+])
+def test_agree_with_cycles(run_nodes: Callable, family: str):
+    """Yield Cycles' value within 1/255 at every pixel of a plane, graph by graph."""
+    check_family(run_nodes, family)
+
+
+def test_worlds_agree_with_cycles(run_nodes: Callable):
+    """Show Cycles' panorama within 1/255, and know which worlds are constant."""
+    found = run_nodes("finish(compare_worlds(harness))")
+    assert {name: world["outliers"] for name, world in found.items() if world["outliers"] > OUTLIERS} == {}
+    assert found["plain color"]["constant"] == pytest.approx([0.15, 0.3, 0.45])
+    assert found["panorama"]["constant"] is None and found["panorama"]["resolution"] == 512
+    assert found["nothing"]["constant"] == [0.0, 0.0, 0.0]
+
+
+def test_principled_sockets(run_nodes: Callable):
+    """Hand every socket of the Principled BSDF over, linked or not."""
+    closure = run_nodes("finish(principled_closure(harness))")
+    assert closure["kind"] == 1 and closure["multiscatter"] == 0
+    assert closure["color"] == pytest.approx([0.1, 0.2, 0.3])
+    expected = {
+        "metallic": 0.11, "roughness": 0.12, "ior": 1.3, "diffuse_roughness": 0.14, "specular_level": 0.15,
+        "anisotropic": 0.16, "anisotropic_rotation": 0.17, "transmission": 0.18, "coat": 0.19,
+        "coat_roughness": 0.21, "coat_ior": 1.22, "sheen": 0.23, "sheen_roughness": 0.24, "subsurface": 0.25,
+    }
+    assert {name: closure[name] for name in expected} == pytest.approx(expected)
+    assert closure["thin_wall"] == 1
+    assert closure["weight"] == pytest.approx([0.7] * 3)
+    assert closure["transparency"] == pytest.approx([0.3] * 3)
+    assert closure["emission"] == [0.0] * 3
+    assert closure["emission_layered"] == pytest.approx([2.0, 4.0, 6.0])
+    assert closure["nee_emission"] == pytest.approx([1.4, 2.8, 4.2])
+
+
+@pytest.mark.parametrize(("graph", "flags"), [
+    ("principled", (False, False, None)),
+    ("alpha", (True, False, None)),
+    ("alpha_linked", (True, False, None)),
+    ("emission", (False, True, [2.0, 4.0, 6.0])),
+    ("emission_textured", (False, True, None)),
+    ("mix_with_factor_0", (False, False, None)),
+    ("mix_half", (True, True, [0.5, 0.5, 0.5])),
+    ("add", (True, True, [1.0, 1.0, 1.0])),
+    ("no_surface", (False, False, None)),
+    ("muted", (False, False, None)),
+    ("group", (False, True, [3.0, 3.0, 3.0])),
+])
+def test_flags(flags_found: dict, graph: str, flags: tuple):
+    """Set transparency and emission exactly as the graph can show them."""
+    transparency, emission, constant = flags_found[graph]
+    assert (transparency, emission) == flags[:2]
+    assert constant == (None if flags[2] is None else pytest.approx(flags[2]))
+
+
+@pytest.fixture(scope="module")
+def flags_found(run_nodes: Callable) -> dict:
+    """Return the flags of all graphs of `flag_graphs`, from one child process."""
+    return run_nodes("finish(material_flags(harness))")
+
+
+def test_report_names_what_is_not_drawn(run_nodes: Callable):
+    """Name material and node of everything that is approximated, and never fail."""
+    text = run_nodes("finish(report_of_everything(harness))")
+    for words in ("subsurface", "Voronoi", "Wireframe", "volume", "toon", "thin film", "Light Path"):
+        assert words in text, words
+    assert "material 'Everything'" in text
+    assert "could not be read" not in text
+
+
+def test_lamp_factor(run_nodes: Callable):
+    """Reduce lamps' node trees to a factor, and say where that is not exact."""
+    plain, strong, falloff, textured, text = run_nodes("finish(lamp_factors(harness))")
+    assert plain == [1.0, 1.0, 1.0]
+    assert strong == pytest.approx([6.0, 3.0, 1.5])
+    assert falloff == pytest.approx([10.0, 5.0, 2.5])
+    assert textured == [1.0, 1.0, 1.0]
+    assert "linear falloff" in text and "image" in text
+
+
+def test_large_trees_fall_back(run_nodes: Callable):
+    """Draw a material in its viewport color where its tree exceeds the machine, and say so."""
+    kind, color, text = run_nodes("finish(oversized_material(harness))")
+    assert kind == 2 and color == pytest.approx([0.2, 0.3, 0.4])
+    assert "too large" in text
