@@ -7,18 +7,10 @@ from typing import Any
 
 import bpy
 
-__all__ = ["OLDEST", "exit_handlers", "pass_name", "set_texture_filter", "supported"]
-
-OLDEST = (5, 0, 0)
-"""Oldest Blender that has what the engine needs: bpy.types.InlineShaderNodes."""
+__all__ = ["exit_handlers", "pass_name", "set_texture_filter"]
 
 # Pass names before 5.0 (Blender renamed its built-in passes then).
 OLD_PASS_NAMES = {"Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env"}
-
-
-def supported() -> bool:
-    """Tell whether this Blender is new enough."""
-    return bpy.app.version >= OLDEST
 
 
 def pass_name(name: str) -> str:

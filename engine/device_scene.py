@@ -365,9 +365,9 @@ class DeviceScene:
         return lights
 
     @property
-    def needs_programs(self) -> bool:
-        """Return whether shadow rays may have to evaluate programs."""
-        return self.structures.has_filtered or self.emitters.textured or self.scene.environment.constant == 0
+    def has_light_programs(self) -> bool:
+        """Return whether a light's radiance is a program: a textured emitter, a world that varies."""
+        return self.emitters.textured or self.scene.environment.constant == 0
 
     def triangle_count(self) -> int:
         """Return the triangles of all instances together."""

@@ -264,7 +264,7 @@ class Session:
         options.exposure = self.settings.film.exposure
         options.passes = int(self._film.passes)
         options.filtered = int(self._scene.structures.has_filtered)
-        options.programs = int(self._scene.needs_programs)
+        options.programs = int(self._scene.has_light_programs)
         return options
 
     def _memory(self) -> int:

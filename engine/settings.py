@@ -103,7 +103,7 @@ class LightPathSettings:
         0, "Most surfaces that a light path may meet before it ends (0: unlimited, ended by Russian roulette; "
         "Cycles' Max Bounces counts one fewer)", low=0, high=1024, soft_high=64)
     roulette_start: int = setting(
-        4, "Bounce from which Russian roulette may end a path; it never biases the picture", low=1, high=1024,
+        1, "Bounce from which Russian roulette may end a path; it never biases the picture", low=1, high=1024,
         soft_high=32)
     clamp_direct: float = setting(
         0.0, "Clamp each sample of directly seen or directly reflected light (0: off); darkens, but tames noise",

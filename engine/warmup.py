@@ -9,13 +9,30 @@ from collections.abc import Callable
 
 import warp as wp
 
-from ..kernels import albedo_tables, compaction, environment, film, flatten, layers, reference, tracing
+from ..kernels import (
+    albedo_tables,
+    compaction,
+    display,
+    environment,
+    film,
+    flatten,
+    layers,
+    materials,
+    misses,
+    reference,
+    shadow_layers,
+    shadow_lights,
+    tracing,
+)
 from .device import start_warp
 from .errors import KernelBuildFailed
 
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
-KERNEL_MODULES = (film, compaction, tracing, albedo_tables, flatten, environment, layers, reference)
+KERNEL_MODULES = (
+    film, display, compaction, tracing, albedo_tables, flatten, environment, misses, layers, shadow_layers,
+    shadow_lights, materials, reference,
+)
 """Modules that own kernels, the quickest to build first."""
 
 _lock = threading.Lock()

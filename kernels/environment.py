@@ -1,62 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world as a light: directions drawn from a table over an equirectangular grid, with their pdf.
-
-The radiance itself always comes from the world's program; the table only guides. Row 0 is the top (+z).
-"""
+"""The kernel that bakes the world's sampling table (environment_table.py) from its program."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import PI, TWO_PI, max_component, safe_sqrt
+from .environment_table import equirect_direction
+from .geometry_math import PI, max_component
 from .nodes import evaluate_world
-from .types import Environment, Scene
+from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-
-@wp.func
-def equirect_direction(x: float, y: float) -> wp.vec3:
-    """Return the unit direction at (x, y) in [0, 1]^2; y = 0 is +z, x = 0.5 is -x."""
-    phi = TWO_PI * x
-    theta = PI * y
-    s = wp.sin(theta)
-    return wp.vec3(s * wp.cos(phi), s * wp.sin(phi), wp.cos(theta))
-
-
-@wp.func
-def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
-    """Return the pdf [1/sr] with which sample_environment draws `direction`."""
-    if environment.width == 0:
-        return 1.0 / (4.0 * PI)
-    x = wp.atan2(direction[1], direction[0]) / TWO_PI
-    if x < 0.0:
-        x = x + 1.0
-    y = wp.acos(wp.clamp(direction[2], -1.0, 1.0)) / PI
-    i = wp.clamp(int(x * float(environment.width)), 0, environment.width - 1)
-    j = wp.clamp(int(y * float(environment.height)), 0, environment.height - 1)
-    texels = float(environment.width * environment.height)
-    sin_theta = wp.max(safe_sqrt(1.0 - direction[2] * direction[2]), 1.0e-6)
-    return environment.weight[j * environment.width + i] * texels / (TWO_PI * PI * sin_theta)
-
-
-@wp.func
-def sample_environment(environment: Environment, choice: wp.vec2, u: wp.vec2) -> wp.vec3:
-    """Draw a direction from the table (uniform over the sphere where there is none).
-
-    `choice` picks the texel, `u` the place in it: a table has too many texels to take both from one float.
-    """
-    if environment.width == 0:
-        z = 1.0 - 2.0 * u[0]
-        r = safe_sqrt(1.0 - z * z)
-        return wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
-    count = environment.width * environment.height
-    texel = wp.min(int(choice[0] * float(count)), count - 1)
-    if choice[1] >= environment.probability[texel]:
-        texel = environment.alias[texel]
-    x = (float(texel % environment.width) + u[0]) / float(environment.width)
-    y = (float(texel // environment.width) + u[1]) / float(environment.height)
-    return equirect_direction(x, y)
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .environment import environment_pdf, sample_environment
+from .environment_table import environment_pdf, sample_environment
 from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
 from .intersect import triangle_error, world_vertex
 from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle

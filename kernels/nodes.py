@@ -100,7 +100,7 @@ def compute(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b: wp
     return procedural(sub, a, b, c)
 
 
-@wp.func(inline=False)
+@wp.func
 def run(scene: Scene, point: ShadingPoint, start: int, u: float) -> Closure:
     """Run a program: sum up emission, transparency and holdout; draw one BSDF by weight with `u` in [0, 1)."""
     registers = wp.zeros(shape=(32,), dtype=wp.vec4)
@@ -176,18 +176,8 @@ def evaluate_emission(scene: Scene, point: ShadingPoint) -> wp.vec3:
 
 
 @wp.func
-def evaluate_world(
-    scene: Scene, direction: wp.vec3, ray_visibility: int, ray_depth: int, footprint: float
-) -> wp.vec3:
-    """Return the world's radiance from `direction` (unit, world space).
-
-    Args:
-        scene: The scene.
-        direction: Direction in which the world is seen.
-        ray_visibility: Kind of the ray, for Light Path nodes.
-        ray_depth: Bounces before it.
-        footprint: Width of the ray cone at distance 1 [rad], for texture filtering.
-    """
+def world_point(direction: wp.vec3, ray_visibility: int, ray_depth: int, footprint: float) -> ShadingPoint:
+    """Return the point at which the world's program is run for a direction (arguments as of evaluate_world)."""
     point = ShadingPoint()
     point.position = direction
     point.normal = -direction
@@ -200,4 +190,21 @@ def evaluate_world(
     point.ray_depth = ray_depth + 1
     # Cycles' length of a ray that met nothing, as far as sums of squares stay finite.
     point.ray_length = 1.0e18
+    return point
+
+
+@wp.func
+def evaluate_world(
+    scene: Scene, direction: wp.vec3, ray_visibility: int, ray_depth: int, footprint: float
+) -> wp.vec3:
+    """Return the world's radiance from `direction` (unit, world space).
+
+    Args:
+        scene: The scene.
+        direction: Direction in which the world is seen.
+        ray_visibility: Kind of the ray, for Light Path nodes.
+        ray_depth: Bounces before it.
+        footprint: Width of the ray cone at distance 1 [rad], for texture filtering.
+    """
+    point = world_point(direction, ray_visibility, ray_depth, footprint)
     return run(scene, point, scene.materials.world_start, 0.0).emission

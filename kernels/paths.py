@@ -6,7 +6,9 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3
-from .intersect import Hit
+from .intersect import Hit, surface_point
+from .shading_types import Closure, ShadingPoint
+from .types import Scene
 
 # Paths.state
 ENDED = wp.constant(-1)
@@ -33,7 +35,7 @@ class Options:
     filtered: int
     """1: the scene has triangles that need a test per hit"""
     programs: int
-    """1: shadow rays may need programs (those triangles, textured emitters, a world that varies)"""
+    """1: lights may be programs (textured emitters, a world that varies)"""
 
 
 @wp.struct
@@ -67,6 +69,8 @@ class Paths:
     layer: wp.array[wp.vec2i]
     """(instance, triangle) of it; instance MISS for none"""
     layer_barycentrics: wp.array[wp.vec2]
+    closure: wp.array[Closure]
+    """What the material of the hit says"""
     shadow_origin: wp.array[wp.vec3]
     shadow_direction: wp.array[wp.vec3]
     shadow_distance: wp.array[float]
@@ -150,3 +154,16 @@ def store_layer(paths: Paths, path: int, hit: Hit):
     paths.layer_t[path] = hit.t
     paths.layer[path] = wp.vec2i(hit.instance, hit.triangle)
     paths.layer_barycentrics[path] = wp.vec2(hit.u, hit.v)
+
+
+@wp.func
+def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoint:
+    """Return a path's hit, ready for its material."""
+    hit = load_hit(paths, path)
+    point = surface_point(scene, hit, paths.direction[path])
+    cone = paths.cone[path]
+    point.footprint = cone[0] + cone[1] * hit.t
+    point.ray_visibility = paths.kind[path]
+    point.ray_length = hit.t
+    point.ray_depth = bounce
+    return point

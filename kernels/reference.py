@@ -2,20 +2,20 @@
 """The reference path tracer's shading: what happens where a path meets a surface or the world.
 
 Unbiased: next-event estimation over all lights with multiple importance sampling (Veach 1997), unlimited bounces
-ended by Russian roulette. The tracer is a wavefront: tracing.py finds hits, layers.py looks through transparent
-triangles, this file's one kernel shades, and states in arrays (paths.py) pass between them. A path owns its slot in
-every array, so any range of paths may run anywhere in any order.
+ended by Russian roulette. The tracer is a wavefront of small kernels with states in arrays (paths.py) between them:
+tracing.py finds hits, layers.py looks through transparent triangles, misses.py adds the world, materials.py runs
+material programs, this file's kernel shades, and shadow_layers.py and shadow_lights.py finish shadow rays. A path
+owns its slot in every array, so any range of paths may run anywhere in any order. The node machine is called once
+in each module that needs it: CUDA's compiler then inlines it, instead of copying the whole Scene for a call.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .environment import environment_pdf
 from .geometry_math import is_finite3, max_component, power_heuristic
-from .intersect import MISS, offset_origin, surface_point
+from .intersect import MISS, offset_origin
 from .lights import FAR, LightSample, emitter_pdf, lamp_hit, sample_light
-from .nodes import evaluate_surface, evaluate_world
 from .paths import (
     ENDED,
     PENDING_NONE,
@@ -24,8 +24,8 @@ from .paths import (
     Options,
     Paths,
     add_light,
+    hit_point,
     limit_at,
-    load_hit,
 )
 from .principled import evaluate_bsdf, prepare_bsdf, sample_bsdf
 from .sampling import (
@@ -85,34 +85,6 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
                     weight = power_heuristic(pdf, hit.pdf * scene.lights.weight[i])
                 light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
                 add_light(paths, path, light, limit_at(options, bounce))
-
-
-@wp.func
-def end_in_world(scene: Scene, options: Options, paths: Paths, path: int):
-    """Add the world's radiance and end the path."""
-    bounce = paths.state[path]
-    kind = paths.kind[path]
-    direction = paths.direction[path]
-    paths.state[path] = ENDED
-    if bounce == 0 and options.transparent == 1:
-        r = paths.radiance[path]
-        paths.radiance[path] = wp.vec4(r[0], r[1], r[2], 0.0)
-        return
-    if (scene.environment.visibility & kind) == 0:
-        return
-    radiance = scene.environment.radiance
-    if scene.environment.constant == 0:
-        # Filtered for the camera alone: light sampling sees the world unfiltered, and both must agree.
-        radiance = evaluate_world(scene, direction, kind, bounce, wp.where(bounce == 0, paths.cone[path][1], 0.0))
-    weight = float(1.0)
-    pdf = paths.pdf[path]
-    if pdf > 0.0 and scene.lights.environment_entry >= 0:
-        light_pdf = environment_pdf(scene.environment, direction)
-        weight = power_heuristic(pdf, light_pdf * scene.lights.weight[scene.lights.environment_entry])
-    light = wp.cw_mul(paths.throughput[path], radiance) * weight
-    add_light(paths, path, light, limit_at(options, bounce))
-    if options.passes == 1 and bounce == 0:
-        paths.environment[path] = radiance
 
 
 @wp.func
@@ -193,19 +165,6 @@ def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, emissi
 
 
 @wp.func
-def hit_point(scene: Scene, paths: Paths, path: int) -> ShadingPoint:
-    """Return a path's hit, ready for its material."""
-    hit = load_hit(paths, path)
-    point = surface_point(scene, hit, paths.direction[path])
-    cone = paths.cone[path]
-    point.footprint = cone[0] + cone[1] * hit.t
-    point.ray_visibility = paths.kind[path]
-    point.ray_length = hit.t
-    point.ray_depth = paths.state[path]
-    return point
-
-
-@wp.func
 def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: wp.vec3, paths: Paths, path: int):
     """Add what a hit surface emits, weighed against light sampling."""
     weight = float(1.0)
@@ -246,7 +205,8 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float
     if bounce < options.roulette_start:
         return 1.0
     limit = wp.where(bounce < LONG_PATH, 0.98, 0.9)
-    return wp.clamp(max_component(throughput), 0.02, limit)
+    # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
+    return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
 
 
 @wp.func
@@ -293,11 +253,10 @@ def shade_paths(
     paths_out.shadow_distance[path] = 0.0
     if scene.lights.lamp_count > 0:
         gather_lamps(scene, options, paths_out, path)
-    if paths_out.hit[path][0] == MISS:
-        end_in_world(scene, options, paths_out, path)
-        return
-    point = hit_point(scene, paths_out, path)
     paths_out.state[path] = ENDED
+    if paths_out.hit[path][0] == MISS:
+        return
+    point = hit_point(scene, paths_out, path, bounce)
     if bounce == 0 and (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
         paths_out.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
         return
@@ -305,9 +264,7 @@ def shade_paths(
     index = paths_out.index[path]
     dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
     lobe = sample_pair(seed, index, dimension + DIMENSION_LOBE)
-    # The part that lets light through unchanged was taken by filter_paths with the probability of its weight.
-    closure = evaluate_surface(scene, point, lobe[1])
-    bsdf = prepare_bsdf(scene.tables, closure, point)
+    bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
     if max_component(bsdf.emission) > 0.0:
         add_emission(scene, options, point, bsdf.emission, paths_out, path)
     if options.passes == 1 and bounce == 0:

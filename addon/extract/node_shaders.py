@@ -12,7 +12,7 @@ from .node_inputs import perturbed_normal
 
 __all__ = ["add_shader"]
 
-SHADERS_MAX = 128
+SHADERS_MAX = 512
 """Shader nodes followed per material: trees that share branches may otherwise grow without bound"""
 
 

@@ -15,9 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels import compaction, film, layers, reference, tracing
+from ...kernels import (
+    compaction,
+    film,
+    layers,
+    materials,
+    misses,
+    reference,
+    shadow_layers,
+    shadow_lights,
+    tracing,
+)
 from ...kernels.paths import ENDED, Options, Paths
-from ...kernels.types import FrameData, Scene
+from ...kernels.types import Closure, FrameData, Scene
 from ..device import run_bands
 
 __all__ = ["FilmBuffers", "ReferencePass"]
@@ -48,7 +58,7 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
         ("pdf", float), ("kind", int), ("cone", wp.vec2), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3),
         ("shadow_distance", float), ("shadow_light", wp.vec3), ("shadow_pending", int),
         ("shadow_emitter", wp.vec2i), ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i),
-        ("layer_barycentrics", wp.vec2),
+        ("layer_barycentrics", wp.vec2), ("closure", Closure),
     ):
         setattr(paths, name, _vectors(count, dtype, device))
     for name in ("surface_normal", "surface_position", "surface_uv"):
@@ -233,12 +243,16 @@ class ReferencePass:
             if options.filtered == 1:
                 wp.launch(tracing.trace_layers, living, [scene, queue], [paths], device=device)
                 wp.launch(layers.filter_paths, living, [scene, queue], [paths], device=device)
+            wp.launch(misses.shade_misses, living, [scene, options, queue], [paths], device=device)
+            wp.launch(materials.evaluate_materials, living, [scene, queue], [paths], device=device)
             wp.launch(reference.shade_paths, living, [slot.frame, scene, options, queue], [paths], device=device)
             wp.launch(tracing.trace_shadows, living, [scene, options, bounce, queue], [paths], device=device)
             if options.filtered == 1:
                 wp.launch(tracing.trace_shadow_layers, living, [scene, options, bounce, queue], [paths], device=device)
+                wp.launch(shadow_layers.weaken_shadow_rays, living, [scene, options, bounce, queue], [paths],
+                          device=device)
             if options.programs == 1:
-                wp.launch(layers.shade_shadows, living, [scene, options, bounce, queue], [paths], device=device)
+                wp.launch(shadow_lights.shade_lights, living, [scene, options, bounce, queue], [paths], device=device)
             if should_stop():
                 return False
             if self.cuda:

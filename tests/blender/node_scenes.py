@@ -192,7 +192,8 @@ class Harness:
     def _scene(self, materials: dict, world: Program | None) -> Scene:
         """Return the scene of the plane with its materials."""
         programs = [data.program for data in materials.values()] + ([world] if world else [])
-        uv_maps, attributes = uv_map_names(programs), attribute_names(programs)
+        uv_maps = sorted({"", "UVMap", *uv_map_names(programs)})
+        attributes = [name for name in attribute_names(programs) if name in ("", "Col")]
         table = MaterialTable("cpu")
         table.build(materials, world, lambda key: self.images.keys.index(key), index_in(uv_maps), index_in(attributes))
         table.set_camera(CameraData(
@@ -201,12 +202,12 @@ class Harness:
         scene = Scene()
         scene.materials = table.struct()
         scene.luminance = wp.vec3(0.2126729, 0.7151522, 0.0721750)
-        self._fill_geometry(scene, len(uv_maps), attributes)
+        self._fill_geometry(scene, len(uv_maps), len(attributes))
         self._fill_textures(scene)
         return scene
 
-    def _fill_geometry(self, scene: Scene, uv_count: int, attributes: list[str]) -> None:
-        """Put the plane's two triangles into the scene; every UV map name means its only one."""
+    def _fill_geometry(self, scene: Scene, uv_count: int, attribute_count: int) -> None:
+        """Put the plane's two triangles into the scene; every UV map name means its only one, and so attributes."""
         mesh = self.plane.data
         mesh.calc_loop_triangles()
         corners = np.array([triangle.loops for triangle in mesh.loop_triangles])
@@ -224,12 +225,11 @@ class Harness:
         uvs = np.zeros(8, np.float32)
         mesh.uv_layers[0].uv.foreach_get("vector", uvs)
         geometry.uvs = wp.array(uvs.reshape(4, 2)[corners].reshape(6, 2), dtype=wp.vec2, device="cpu")
-        geometry.uv_offsets = wp.array([[0] * max(uv_count, 1)], dtype=int, device="cpu")
+        geometry.uv_offsets = wp.array([[0] * uv_count], dtype=int, device="cpu")
         colors = np.zeros(16, np.float32)
         mesh.color_attributes["Col"].data.foreach_get("color", colors)
         geometry.attributes = wp.array(colors.reshape(4, 4)[corners].reshape(6, 4), dtype=wp.vec4, device="cpu")
-        offsets = [0 if name in ("Col", "") else -1 for name in attributes] or [-1]
-        geometry.attribute_offsets = wp.array([offsets], dtype=int, device="cpu")
+        geometry.attribute_offsets = wp.array([[0] * max(attribute_count, 1)], dtype=int, device="cpu")
 
     def _fill_textures(self, scene: Scene) -> None:
         """Put Blender's images into the scene as float texels, colour multiplied by alpha."""

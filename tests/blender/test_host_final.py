@@ -32,29 +32,27 @@ def run_host(run_python):
     return run
 
 
-@pytest.mark.parametrize("failure", ["open", "update", "configure", "step", "read", "extract"])
-def test_failure_raises_and_writes_nothing(run_host, tmp_path, failure):
+def test_failure_raises_and_writes_nothing(run_host, tmp_path):
     """Make every failure of extraction or engine raise in the operator, save no file and free the session."""
     target = tmp_path / "frame.png"
     result = run_host(f"""
-if {failure!r} == "extract":
-    FakeExtractor.fail_in_extract = True
-FakeSession.fail_in = {failure!r}
 render.filepath = {str(target)!r}
-try:
-    bpy.ops.render.render(write_still=True)
-    raise SystemExit("the operator did not raise")
-except RuntimeError as error:
-    assert "Burnish: Unexpected" in str(error) and "made to fail" in str(error), error
-assert not os.path.exists({str(target)!r})
-assert all(session.closed for session in FakeSession.opened)
+for failure in ("open", "update", "configure", "step", "read", "extract"):
+    FakeExtractor.fail_in_extract, FakeSession.fail_in = failure == "extract", failure
+    try:
+        bpy.ops.render.render(write_still=True)
+        raise SystemExit(f"the operator did not raise: {{failure}}")
+    except RuntimeError as error:
+        assert "Burnish: Unexpected" in str(error) and f"made to fail in {{failure}}" in str(error), error
+    assert not os.path.exists({str(target)!r}), failure
+    assert all(session.closed for session in FakeSession.opened), failure
 assert not pictures
 FakeSession.fail_in, FakeExtractor.fail_in_extract = "", False
 bpy.ops.render.render(write_still=True)
 assert os.path.exists({str(target)!r})
 assert all(session.closed for session in FakeSession.opened)
 """)
-    assert "Traceback" in result.stderr
+    assert result.stderr.count("Traceback") == 6, result.stderr
 
 
 def test_failure_ends_an_animation_at_its_first_frame(run_host, tmp_path):

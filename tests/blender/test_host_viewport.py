@@ -15,8 +15,7 @@ from host_fakes import FakeExtractor, FakeSession, register_with_fakes
 from burnish.engine.scene import CameraData
 register_with_fakes()
 from burnish.addon import viewport
-import gpu
-gpu.init()
+START_GPU
 viewport.camera_from_view = lambda region, view, space, depsgraph: CameraData(focus_distance=view.focus)
 viewport.border_from_view = lambda region, view, space, depsgraph: space.border
 
@@ -61,15 +60,26 @@ def drawn(engine, context, background=(0.0, 0.0, 0.0, 0.0)):
 EPILOGUE = "\nimport burnish; burnish.unregister(); print('done')"
 
 NO_GPU = 3
+START_GPU = f"""
+import gpu
+try:
+    gpu.init()
+except Exception:
+    raise SystemExit({NO_GPU})
+"""
+NO_DISPLAY = """
+class NoDisplay:
+    can_share = free = draw = lambda self, *arguments: None
+viewport.Display = NoDisplay
+"""
 
 
 @pytest.fixture
 def run_viewport(run_python):
     """Return a function that runs a script with a fake viewport; skips where there is no OpenGL."""
 
-    def run(script: str):
-        guarded = PREAMBLE.replace("gpu.init()", f"try: gpu.init()\nexcept Exception: raise SystemExit({NO_GPU})")
-        result = run_python(guarded + script + EPILOGUE)
+    def run(script: str, *, draws: bool = False):
+        result = run_python(PREAMBLE.replace("START_GPU", START_GPU if draws else NO_DISPLAY) + script + EPILOGUE)
         if result.returncode == NO_GPU:
             pytest.skip("no GPU context in background")
         assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
@@ -96,7 +106,7 @@ assert (pixels[..., 3] == 1.0).all()
 assert engine.texts[-1] == ("flattened", "Sample 4/4"), engine.texts[-1]
 redraws = engine.redraws
 assert viewport._tick() is None and engine.redraws == redraws
-""")
+""", draws=True)
 
 
 def test_transparent_film_shows_what_is_behind(run_viewport):
@@ -118,7 +128,7 @@ until(lambda: not engine.viewport._worker.status.busy)
 pixels = drawn(engine, context, background=(0.0, 1.0, 0.0, 1.0))
 assert np.allclose(pixels[:, :31], (0.0, 1.0, 0.0, 1.0), atol=1e-3), pixels[0, 0]
 assert np.allclose(pixels[:, 33:], (0.5, 1.0, 0.5, 1.0), atol=1e-3), pixels[0, 63]
-""")
+""", draws=True)
 
 
 def test_border_is_drawn_alone(run_viewport):
@@ -135,7 +145,7 @@ pixels = drawn(engine, context)
 assert np.abs(pixels[9:27, 16:48, 0] - np.arange(16.0, 48.0)).max() <= 0.25
 pixels[9:27, 16:48] = 0.0
 assert not pixels.any()
-""")
+""", draws=True)
 
 
 def test_half_float_path_without_the_shader(run_viewport):
@@ -152,7 +162,7 @@ viewport.view_draw(engine, context, depsgraph)
 until(lambda: not engine.viewport._worker.status.busy)
 pixels = drawn(engine, context)
 assert np.abs(pixels[..., 0] - np.arange(64.0)).max() <= 0.25
-""")
+""", draws=True)
 
 
 def test_view_draw_never_blocks(run_viewport):
@@ -170,7 +180,7 @@ for i in range(20):
     viewport.view_draw(engine, context, depsgraph)
     times.append(engine.viewport.draw_seconds)
 assert sorted(times)[-2] < 0.03, times
-""")
+""", draws=True)
 
 
 def test_failures_show_a_sentence_and_the_next_update_recovers(run_viewport):

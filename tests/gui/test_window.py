@@ -90,3 +90,17 @@ def test_window(installed: list[str], backend: str) -> None:
     assert not troubles(result.stdout), "\n".join(troubles(result.stdout))
     assert result.returncode == 0, f"Blender ended with {result.returncode}:\n{tail}"
     assert all(step["structure"] > 0.3 for step in notes["steps"]), notes["steps"]
+
+
+def test_command_in_blender(installed: list[str]) -> None:
+    """Render with `blender --command burnish`, the same command as outside Blender, and fail with its exit status."""
+    picture = OUT / "command.png"
+    picture.unlink(missing_ok=True)
+    command = [*installed, "blender", "--command", "burnish", "render", "--output", str(picture), "--samples", "1"]
+    result = run([*command, "--size", "64", "36", SCENE], INSTALL_SECONDS)
+    assert result.returncode == 0, result.stdout
+    assert f"{picture} 64x36 1 samples" in result.stdout
+    assert picture.stat().st_size > 1000
+    result = run([*command, "missing.blend"], INSTALL_SECONDS)
+    assert result.returncode == 1, result.stdout
+    assert "The scene 'missing.blend' does not exist." in result.stdout

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from burnish.addon.picture import pack_colors
 from burnish.addon.worker import ViewportWorker, ViewRequest, divided_crop, picture_area, restarts
 from burnish.engine.errors import DeviceUnavailable
 from burnish.engine.scene import CameraData, SceneDelta
@@ -211,3 +212,24 @@ def test_restarts_follow_the_settings():
     assert restarts(request(width=65), old)
     seeded = dataclasses.replace(old.settings, sampling=dataclasses.replace(old.settings.sampling, seed=5))
     assert restarts(dataclasses.replace(old, settings=seeded), old)
+
+
+def test_session_that_resolves_on_its_device(make_worker):
+    """Pack on the device where the session gives its picture there: the same pixels as packing on the host."""
+    import numpy as np
+    import warp as wp
+
+    class ResolvingSession(fakes.FakeSession):
+        device = "cpu"
+
+        def resolve(self):
+            return wp.array(self.read().reshape(-1, 4), dtype=wp.vec4, device=self.device)
+
+    worker = make_worker(ResolvingSession)
+    worker.share_pictures = True  # Without CUDA it must make no difference.
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request(crop=(8, 4, 40, 20)))
+    until(lambda: not worker.status.busy)
+    expected = pack_colors(fakes.FakeSession.opened[0].read())
+    assert worker.picture.packed and worker.device == "cpu"
+    np.testing.assert_array_equal(worker.picture.pixels.view(np.uint32), expected.view(np.uint32))

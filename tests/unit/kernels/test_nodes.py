@@ -218,7 +218,8 @@ def test_bump_on_a_ramp(device: str):
 def test_normal_map_on_back_faces(device: str):
     """Keep the normal on the viewer's side and the map's x along u."""
     def build(builder: ProgramBuilder):
-        return builder.normal_map("TANGENT", (0.5 + 0.3, 0.5, 0.9), 1.0, uv_map="m", tangent_attribute=tangent_attribute("m"))
+        return builder.normal_map(
+            "TANGENT", (0.5 + 0.3, 0.5, 0.9), 1.0, uv_map="m", tangent_attribute=tangent_attribute("m"))
 
     expected = np.array([0.6, 0.0, 0.8])
     np.testing.assert_allclose(value(device, build), expected, atol=1e-5)

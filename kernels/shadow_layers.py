@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's kernel that weakens shadow rays by the transparent layers on their way."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .filter import transmittance
+from .geometry_math import max_component
+from .intersect import MISS
+from .paths import PENDING_NONE, Options, Paths, add_light, limit_at, load_layer
+from .types import Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.kernel
+def weaken_shadow_rays(
+    # In:
+    scene: Scene,
+    options: Options,
+    bounce: int,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Multiply the light by the layers' transparencies; add it where no program of the light is pending."""
+    path = queue[wp.tid()]
+    distance = paths_out.shadow_distance[path]
+    if distance == 0.0 or paths_out.layer[path][0] == MISS:
+        return
+    light = paths_out.shadow_light[path]
+    if distance > 0.0:
+        light = wp.cw_mul(light, transmittance(
+            scene, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance,
+            load_layer(paths_out, path), bounce + 1))
+    if not max_component(light) > 0.0:
+        paths_out.shadow_distance[path] = 0.0
+    elif paths_out.shadow_pending[path] == PENDING_NONE:
+        paths_out.shadow_distance[path] = 0.0
+        add_light(paths_out, path, light, limit_at(options, bounce + 1))
+    else:
+        paths_out.shadow_light[path] = light
