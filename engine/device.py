@@ -20,7 +20,20 @@ import warp as wp
 from .errors import BurnishError, DeviceUnavailable, OutOfDeviceMemory
 from .settings import Device
 
-__all__ = ["DeviceInfo", "choose_device", "device_errors", "device_info", "run_bands", "start_warp", "thread_count"]
+__all__ = [
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "launch", "run_bands", "start_warp",
+    "thread_count",
+]
+
+# Threads a block on CUDA. Kernels that use all registers fit one block of 256 on a multiprocessor and wait for its
+# slowest warp; smaller blocks leave earlier.
+FAT_BLOCK = int(os.environ.get("BURNISH_FAT", "128"))
+THIN_BLOCK = int(os.environ.get("BURNISH_THIN", "128"))
+BLOCK_SIZES = {
+    "tracing": THIN_BLOCK, "misses": FAT_BLOCK, "layers": FAT_BLOCK, "materials": FAT_BLOCK, "reference": FAT_BLOCK,
+    "shadow_layers": FAT_BLOCK, "shadow_lights": FAT_BLOCK,
+}
+DEFAULT_BLOCK = 256
 
 _start_lock = threading.Lock()
 _started = False
@@ -152,3 +165,14 @@ def run_bands(jobs: Iterable[Callable[[], None]]) -> None:
     wait(futures)
     for future in done:
         future.result()
+
+
+def block_size(module_name: str, device: str) -> int:
+    """Return the threads a block with which a kernel module is launched (modules are built for one size)."""
+    # On the CPU Warp launches one thread a block.
+    return 1 if device == "cpu" else BLOCK_SIZES.get(module_name.rpartition(".")[2], DEFAULT_BLOCK)
+
+
+def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:
+    """Launch a kernel over `count` threads with its module's block size."""
+    wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))

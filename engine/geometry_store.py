@@ -80,7 +80,7 @@ class GeometryStore:
         """Forget all meshes."""
         self.ranges: dict[Key, MeshRange] = {}
         self.uv_names: list[str] = [""]
-        self.attribute_names: list[str] = []
+        self.attribute_names: list[str] = [""]
         self.positions = _Buffer(wp.vec3, self.device)
         self.triangles = _Buffer(wp.vec3i, self.device)
         self.slots = _Buffer(wp.int32, self.device)
@@ -163,21 +163,25 @@ class GeometryStore:
         return self.uv_names.index(name) if name in self.uv_names else -1
 
     def attribute_id(self, name: str) -> int:
-        """Return the id of an attribute by name, -1 where no mesh has it."""
+        """Return the id of an attribute by name: 0 (the empty name) is each mesh's first one; -1 unknown."""
         return self.attribute_names.index(name) if name in self.attribute_names else -1
 
     def tables(self) -> tuple[wp.array, wp.array]:
         """Return the offset tables of UV maps [row, uv id] and attributes [row, attribute id]."""
         if self._tables is None:
             uv = np.full((max(self.rows, 1), len(self.uv_names)), -1, np.int32)
-            attribute = np.full((max(self.rows, 1), max(len(self.attribute_names), 1)), -1, np.int32)
+            attribute = np.full((max(self.rows, 1), len(self.attribute_names)), -1, np.int32)
             for r in self.ranges.values():
                 for i, name in enumerate(r.uv_names):
                     uv[r.row, self.uv_names.index(name)] = r.uv_start + i * 3 * r.triangle_count
                 if r.uv_names:
                     uv[r.row, 0] = r.uv_start
                 for i, name in enumerate(r.attribute_names):
-                    attribute[r.row, self.attribute_names.index(name)] = r.attribute_start + i * 3 * r.triangle_count
+                    column = self.attribute_names.index(name)
+                    attribute[r.row, column] = r.attribute_start + i * 3 * r.triangle_count
+                if r.attribute_names:
+                    attribute[r.row, 0] = r.attribute_start
             self._tables = (
-                wp.array(uv, dtype=wp.int32, device=self.device), wp.array(attribute, dtype=wp.int32, device=self.device))
+                wp.array(uv, dtype=wp.int32, device=self.device),
+                wp.array(attribute, dtype=wp.int32, device=self.device))
         return self._tables

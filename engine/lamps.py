@@ -71,7 +71,8 @@ def _area_lamp(row: np.void, light: LightData, matrix: np.ndarray, report: Repor
     row["radiance"] = color / math.pi / (max(area, 1e-30) if light.normalize else 1.0)
     if light.spread < math.pi - 1e-4:
         if light.spread < MIN_SPREAD:
-            report.add(ReportKind.APPROXIMATED, f"light '{light.name}'", "spread below 0.5 degrees drawn as 0.5 degrees")
+            owner = f"light '{light.name}'"
+            report.add(ReportKind.APPROXIMATED, owner, "spread below 0.5 degrees drawn as 0.5 degrees")
         half = 0.5 * max(light.spread, MIN_SPREAD)
         row["spread_tan"] = math.tan(half)
         # The integral of cos (1 - tan / tan half) over the cone is what the attenuation leaves of the power.

@@ -205,15 +205,19 @@ class Session:
         self.stats.times["read"] = time.perf_counter() - start
         return np.array(picture, np.float32, order="C")
 
+    def resolve(self) -> wp.array:
+        """Return the Combined picture on the device: vec4 [h * w], valid until the next call."""
+        wp.launch(
+            film.resolve_color, self._film.pixel_count,
+            [self._film.film, self._band_samples(), int(self.settings.film.transparent)], [self._film.picture],
+            device=self.device)
+        self._count_rejected()
+        return self._film.picture
+
     def _read_flat(self, name: str) -> np.ndarray:
         buffers, count = self._film.film, max(self.samples_done, 1)
         if name == "Combined":
-            transparent = int(self.settings.film.transparent)
-            counts = self._band_samples()
-            wp.launch(film.resolve_color, self._film.pixel_count, [buffers, counts, transparent], [self._film.picture],
-                      device=self.device)
-            self._count_rejected()
-            return self._film.picture.numpy()
+            return self.resolve().numpy()
         counts = np.maximum(self._band_samples().numpy(), 1)[:, None]
         uv = buffers.uv.numpy()
         seen = uv[:, 2:3] / counts

@@ -107,13 +107,15 @@ class Structures:
         self.instanced = drawn & (uses[plan.mesh_index] > 1) if two_levels else np.zeros(len(drawn), bool)
         self._build_flat(plan, ranges, instances, store, np.flatnonzero(drawn & ~self.instanced))
         self._build_instances(plan, store)
-        count = int(self.instanced.sum())
-        self.description = f"{flattened - int((counts * uses * 1)[uses > 1].sum()) if two_levels else flattened:,} flattened triangles"
-        if count:
-            self.description += f", {count:,} instances of {len(self.local):,} meshes in two levels"
+        in_levels = int(self.instanced.sum())
+        flat = int(counts[plan.mesh_index[drawn & ~self.instanced]].sum())
+        self.description = f"{flat:,} flattened triangles"
+        if in_levels:
+            self.description += f", {in_levels:,} instances of {len(self.local):,} meshes in two levels"
 
     def _build_flat(
-        self, plan: InstancePlan, ranges: list[MeshRange], instances: wp.array, store: GeometryStore, chosen: np.ndarray,
+        self, plan: InstancePlan, ranges: list[MeshRange], instances: wp.array, store: GeometryStore,
+        chosen: np.ndarray,
     ) -> None:
         self.opaque = self.filtered = self.flat = None
         if len(chosen) == 0:

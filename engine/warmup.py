@@ -24,7 +24,7 @@ from ..kernels import (
     shadow_lights,
     tracing,
 )
-from .device import start_warp
+from .device import block_size, start_warp
 from .errors import KernelBuildFailed
 
 __all__ = ["KERNEL_MODULES", "warm_up"]
@@ -60,8 +60,8 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
             if progress is not None:
                 progress(name, number, len(KERNEL_MODULES))
             try:
-                # On the CPU Warp launches one thread a block and builds modules for that.
-                loaded = wp.get_module(module.__name__).load(wp.get_device(device), 1 if device == "cpu" else None)
+                size = block_size(module.__name__, device)
+                loaded = wp.get_module(module.__name__).load(wp.get_device(device), size)
             except Exception as error:
                 raise KernelBuildFailed(f"The kernels '{name}' could not be built for {device}: {error}") from error
             if loaded is None:

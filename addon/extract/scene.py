@@ -181,7 +181,8 @@ class SceneExtractor:
     def _begin_images(self, depsgraph: bpy.types.Depsgraph, full: bool) -> ImageCollector:
         if self._images is None:
             self._images = ImageCollector(depsgraph)
-        self._images.begin(depsgraph, full=full)
+        # Outside a viewport nothing tells that pixels were painted; a scene makes the collector look.
+        self._images.begin(depsgraph if depsgraph.mode == 'VIEWPORT' else depsgraph.scene, full=full)
         return self._images
 
     def _extract_meshes(self, delta: SceneDelta, gathered: Gathered, changes: Changes,

@@ -28,17 +28,20 @@ from ...kernels import (
 )
 from ...kernels.paths import ENDED, Options, Paths
 from ...kernels.types import Closure, FrameData, Scene
-from ..device import run_bands
+from ..device import launch, run_bands
 
 __all__ = ["FilmBuffers", "ReferencePass"]
 
 CPU_BAND_PATHS = 4096
-CUDA_BAND_PATHS = 1 << 22
-CUDA_BATCH_PATHS = 1 << 21
+CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
-# Bounces after which the counter of living paths is read back once a bounce.
-FIRST_COUNT = 1
+PATH_BYTES = 640
+"""Of one path's states, its closure the largest of them"""
+
+MEMORY_SHARE = 0.25
+"""Of the device's free memory that path states may take"""
+
 
 # Not a limit of the integrator: roulette ends every path long before, unless a scene keeps all light for ever.
 BOUNCE_STOP = 4096
@@ -113,8 +116,8 @@ class _Slot:
 
     paths: Paths
     identity: wp.array
-    queues: tuple[wp.array, wp.array] | None
-    counter: wp.array | None
+    queues: tuple[wp.array, wp.array]
+    counter: wp.array
     frame: wp.array
     capacity: int
 
@@ -135,12 +138,15 @@ class ReferencePass:
 
     def resize(self, pixel_count: int, passes: bool) -> None:
         """Cut the picture into bands and allocate path states for them."""
-        limit = CUDA_BAND_PATHS if self.cuda else CPU_BAND_PATHS
+        limit = CPU_BAND_PATHS
+        if self.cuda:
+            room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE) // PATH_BYTES
+            limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
         self.bands = [_Band(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
         largest = max(band.count for band in self.bands)
-        capacity = max(largest, min(CUDA_BATCH_PATHS, largest * 64)) if self.cuda else largest
+        capacity = max(largest, min(limit, largest * 64)) if self.cuda else largest
         self.slots = []
         self.passes = passes
         self.capacity = capacity
@@ -161,11 +167,9 @@ class ReferencePass:
             if self.slots:
                 return self.slots.pop()
         identity = wp.array(np.arange(self.capacity, dtype=np.int32), dtype=int, device=self.device)
-        queues = counter = None
-        if self.cuda:
-            queues = (wp.zeros(self.capacity, dtype=int, device=self.device),
-                      wp.zeros(self.capacity, dtype=int, device=self.device))
-            counter = wp.zeros(1, dtype=int, device=self.device)
+        queues = (wp.zeros(self.capacity, dtype=int, device=self.device),
+                  wp.zeros(self.capacity, dtype=int, device=self.device))
+        counter = wp.zeros(1, dtype=int, device=self.device)
         frame = wp.zeros(1, dtype=FrameData, device=self.device)
         return _Slot(make_paths(self.capacity, self.passes, self.device), identity, queues, counter, frame,
                      self.capacity)
@@ -218,10 +222,9 @@ class ReferencePass:
             row["sample"] = band.samples
             slot.frame.assign(row)
             if self._trace(slot, band, count, scene, options, filter_table, should_stop):
-                wp.launch(
+                launch(
                     film.accumulate_samples, band.count,
-                    [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film],
-                    device=self.device)
+                    [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
                 band.samples += count
         finally:
             self._give_slot(slot)
@@ -230,39 +233,50 @@ class ReferencePass:
         self, slot: _Slot, band: _Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
         should_stop: Callable[[], bool],
     ) -> bool:
-        device = self.device
         paths, total = slot.paths, band.count * count
         if options.passes == 1:
-            wp.launch(film.clear_surfaces, total, [], [paths], device=device)
-        wp.launch(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count], [paths],
-                  device=device)
+            launch(film.clear_surfaces, total, [], [paths], self.device)
+        launch(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count], [paths], self.device)
         queue, living = slot.identity, total
         for bounce in range(BOUNCE_STOP):
             self.rays += living
-            wp.launch(tracing.trace_paths, living, [scene, queue], [paths], device=device)
-            if options.filtered == 1:
-                wp.launch(tracing.trace_layers, living, [scene, queue], [paths], device=device)
-                wp.launch(layers.filter_paths, living, [scene, queue], [paths], device=device)
-            wp.launch(misses.shade_misses, living, [scene, options, queue], [paths], device=device)
-            wp.launch(materials.evaluate_materials, living, [scene, queue], [paths], device=device)
-            wp.launch(reference.shade_paths, living, [slot.frame, scene, options, queue], [paths], device=device)
-            wp.launch(tracing.trace_shadows, living, [scene, options, bounce, queue], [paths], device=device)
-            if options.filtered == 1:
-                wp.launch(tracing.trace_shadow_layers, living, [scene, options, bounce, queue], [paths], device=device)
-                wp.launch(shadow_layers.weaken_shadow_rays, living, [scene, options, bounce, queue], [paths],
-                          device=device)
-            if options.programs == 1:
-                wp.launch(shadow_lights.shade_lights, living, [scene, options, bounce, queue], [paths], device=device)
+            self._bounce(slot, scene, options, queue, living, bounce)
             if should_stop():
                 return False
-            if self.cuda:
-                following = slot.queues[bounce % 2]
-                slot.counter.zero_()
-                wp.launch(compaction.append_living, living, [paths.state, queue], [following, slot.counter],
-                          device=device)
-                living, queue = int(slot.counter.numpy()[0]), following
-            elif not (paths.state.numpy()[:total] != int(ENDED)).any():
-                living = 0
+            queue, living = self._compact(slot, queue, living, bounce)
             if living == 0:
-                return True
+                break
         return True
+
+    def _bounce(
+        self, slot: _Slot, scene: Scene, options: Options, queue: wp.array, living: int, bounce: int,
+    ) -> None:
+        """Trace and shade one segment of every path in the queue: the path tracer's table of contents."""
+        paths, device = slot.paths, self.device
+        shadow = [scene, options, bounce, queue]
+        launch(tracing.trace_paths, living, [scene, queue], [paths], device)
+        if options.filtered == 1:
+            launch(tracing.trace_layers, living, [scene, queue], [paths], device)
+            launch(layers.filter_paths, living, [scene, queue], [paths], device)
+        launch(misses.shade_misses, living, [scene, options, queue], [paths], device)
+        launch(materials.evaluate_materials, living, [scene, queue], [paths], device)
+        launch(reference.shade_paths, living, [slot.frame, scene, options, queue], [paths], device)
+        launch(tracing.trace_shadows, living, shadow, [paths], device)
+        if options.filtered == 1:
+            launch(tracing.trace_shadow_layers, living, shadow, [paths], device)
+            launch(shadow_layers.weaken_shadow_rays, living, shadow, [paths], device)
+        if options.programs == 1:
+            launch(shadow_lights.shade_lights, living, shadow, [paths], device)
+
+    def _compact(self, slot: _Slot, queue: wp.array, living: int, bounce: int) -> tuple[wp.array, int]:
+        """Return the queue of the paths that go on, and their number."""
+        following = slot.queues[bounce % 2]
+        if not self.cuda:
+            # Device arrays on the CPU are NumPy views of the same memory.
+            going_on = queue.numpy()[:living]
+            going_on = going_on[slot.paths.state.numpy()[going_on] != int(ENDED)]
+            following.numpy()[: len(going_on)] = going_on
+            return following, len(going_on)
+        slot.counter.zero_()
+        launch(compaction.append_living, living, [slot.paths.state, queue], [following, slot.counter], self.device)
+        return following, int(slot.counter.numpy()[0])
