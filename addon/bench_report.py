@@ -70,7 +70,8 @@ def format_row(row: dict[str, Any]) -> str:
     if row.get("failure"):
         return f"{row['label']}: failed: {row['failure']}"
     names = dict(zip(COLUMNS, cells(row), strict=True))
-    return (f"{names['render']}: {names['seconds']} s, FLIP {names['FLIP']} (4x4 {names['FLIP 4x4']}), "
+    seconds = f"{names['seconds']} s, " if names["seconds"] else ""
+    return (f"{names['render']}: {seconds}FLIP {names['FLIP']} (4x4 {names['FLIP 4x4']}), "
             f"relMSE {names['relMSE']}, lum {names['lum']}, dark {names['dark']} [{names['p5']}, {names['p95']}], "
             f"bad {names['bad']}")
 

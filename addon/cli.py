@@ -82,7 +82,7 @@ def make_parser() -> argparse.ArgumentParser:
     warmup = commands.add_parser("warmup", help="compile all kernels ahead of the first render")
     add_setting(warmup, RenderSettings, "device", "--device")
     warmup.set_defaults(run=run_warmup)
-    info = commands.add_parser("info", help="print versions, devices and the kernel cache's folder")
+    info = commands.add_parser("info", help="print versions and devices")
     info.set_defaults(run=run_info)
     for command in (warmup, info):
         command.set_defaults(verbose=False)

@@ -25,14 +25,11 @@ __all__ = [
     "thread_count",
 ]
 
-# Threads a block on CUDA. Kernels that use all registers fit one block of 256 on a multiprocessor and wait for its
-# slowest warp; smaller blocks leave earlier.
-FAT_BLOCK = int(os.environ.get("BURNISH_FAT", "128"))
-THIN_BLOCK = int(os.environ.get("BURNISH_THIN", "128"))
-BLOCK_SIZES = {
-    "tracing": THIN_BLOCK, "misses": FAT_BLOCK, "layers": FAT_BLOCK, "materials": FAT_BLOCK, "reference": FAT_BLOCK,
-    "shadow_layers": FAT_BLOCK, "shadow_lights": FAT_BLOCK,
-}
+# Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
+# when its slowest warp is done: on an H100 a sample of Sponza takes 45.2, 38.9 and 37.5 ms with 256, 128 and 64.
+PATH_BLOCK = 64
+BLOCK_SIZES = dict.fromkeys(
+    ("tracing", "misses", "layers", "materials", "reference", "shadow_layers", "shadow_lights"), PATH_BLOCK)
 DEFAULT_BLOCK = 256
 
 _start_lock = threading.Lock()

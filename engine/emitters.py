@@ -16,6 +16,9 @@ from .structures import InstancePlan
 
 __all__ = ["EmitterTable", "find_emitters"]
 
+# Points at which a textured emitter's triangle is evaluated.
+POINTS = 6
+
 
 @dataclass
 class EmitterTable:
@@ -87,7 +90,7 @@ def find_emitters(
         return EmitterTable.empty(device, len(plan.mesh_index))
     face_array = wp.array(np.concatenate(faces), dtype=wp.vec2i, device=device)
     power = wp.zeros(entries, dtype=float, device=device)
-    wp.launch(measure_emitters, entries, [scene, face_array, 0], [power], device=device)
+    wp.launch(measure_emitters, entries, [scene, face_array, 0, POINTS], [power], device=device)
     watts = power.numpy().astype(np.float64)
     watts[~np.isfinite(watts)] = 0.0
     return EmitterTable(

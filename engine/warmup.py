@@ -6,11 +6,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import warp as wp
 
 from ..kernels import (
-    albedo_tables,
     compaction,
     display,
     environment,
@@ -24,13 +24,13 @@ from ..kernels import (
     shadow_lights,
     tracing,
 )
-from .device import block_size, start_warp
+from .device import block_size, start_warp, thread_count
 from .errors import KernelBuildFailed
 
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, tracing, albedo_tables, flatten, environment, misses, layers, shadow_layers,
+    film, display, compaction, tracing, flatten, environment, misses, layers, shadow_layers,
     shadow_lights, materials, reference,
 )
 """Modules that own kernels, the quickest to build first."""
@@ -51,20 +51,37 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
     """
     start_warp()
     start = time.perf_counter()
-    # One at a time: concurrent first loads of CPU modules race in Warp.
     with _lock:
         if device in _ready:
             return 0.0
-        for number, module in enumerate(KERNEL_MODULES, 1):
-            name = module.__name__.rpartition(".")[2]
-            if progress is not None:
-                progress(name, number, len(KERNEL_MODULES))
-            try:
-                size = block_size(module.__name__, device)
-                loaded = wp.get_module(module.__name__).load(wp.get_device(device), size)
-            except Exception as error:
-                raise KernelBuildFailed(f"The kernels '{name}' could not be built for {device}: {error}") from error
-            if loaded is None:
-                raise KernelBuildFailed(f"The kernels '{name}' could not be built for {device}; see the console.")
+        names = [module.__name__ for module in KERNEL_MODULES]
+        if device == "cpu":
+            # One at a time: concurrent first loads of CPU modules race in Warp.
+            for number, name in enumerate(names, 1):
+                _tell(progress, name, number)
+                _load(name, device)
+        else:
+            with ThreadPoolExecutor(thread_count()) as pool:
+                loads = {pool.submit(_load, name, device): name for name in names}
+                _tell(progress, names[0], 1)
+                for number, load in enumerate(as_completed(loads), 1):
+                    _tell(progress, loads[load], number)
+                    load.result()
         _ready.add(device)
     return time.perf_counter() - start
+
+
+def _tell(progress: Callable[[str, int, int], None] | None, name: str, number: int) -> None:
+    if progress is not None:
+        progress(name.rpartition(".")[2], number, len(KERNEL_MODULES))
+
+
+def _load(name: str, device: str) -> None:
+    """Build or load one module."""
+    title = name.rpartition(".")[2]
+    try:
+        loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device))
+    except Exception as error:
+        raise KernelBuildFailed(f"The kernels '{title}' could not be built for {device}: {error}") from error
+    if loaded is None:
+        raise KernelBuildFailed(f"The kernels '{title}' could not be built for {device}; see the console.")

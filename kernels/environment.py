@@ -20,19 +20,21 @@ def bake_environment(
     width: int,
     height: int,
     first: int,
+    points: int,
     # Out:
     importance_out: wp.array[float],
 ):
     """Fill the sampling table's texels with their largest radiance channel times solid angle.
 
-    Four points a texel, so that a sun between two centres is not missed.
+    `points` (4) a texel, so that a sun between two centres is not missed.
     """
     texel = first + wp.tid()
     i = texel % width
     j = texel // width
     footprint = PI / float(height)
     total = float(0.0)
-    for k in range(4):
+    # Not a literal: Warp would unroll the loop and build the node machine four times.
+    for k in range(points):
         dx = 0.25 + 0.5 * float(k % 2)
         dy = 0.25 + 0.5 * float(k // 2)
         direction = equirect_direction((float(i) + dx) / float(width), (float(j) + dy) / float(height))
@@ -41,4 +43,4 @@ def bake_environment(
         if wp.isfinite(value) and value > 0.0:
             total += value
     theta = PI * (float(j) + 0.5) / float(height)
-    importance_out[texel] = 0.25 * total * wp.sin(theta)
+    importance_out[texel] = total * wp.sin(theta) / float(points)

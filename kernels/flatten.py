@@ -46,10 +46,11 @@ def measure_emitters(
     scene: Scene,
     faces: wp.array[wp.vec2i],
     first: int,
+    points: int,
     # Out:
     power_out: wp.array[float],
 ):
-    """Return area times mean radiance of each emissive triangle, over six points where it is textured."""
+    """Return area times mean radiance of each emissive triangle, over `points` (3 or 6) where it is textured."""
     i = first + wp.tid()
     face = faces[i]
     geometry = scene.geometry
@@ -70,8 +71,9 @@ def measure_emitters(
         total = scene.materials.materials[material].emission
     elif area > 0.0:
         direction = -normal / (2.0 * area)
-        for k in range(6):
-            # Three points near the corners, three near the edges' middles.
+        # Not a literal: Warp would unroll the loop and build the node machine six times.
+        for k in range(points):
+            # Three points near the corners, then three near the edges' middles.
             hit.u = wp.where(k % 3 == 0, 0.6, 0.2)
             hit.v = wp.where(k % 3 == 1, 0.6, 0.2)
             if k >= 3:
@@ -83,6 +85,6 @@ def measure_emitters(
             point.ray_depth = 1
             radiance = evaluate_emission(scene, point)
             if is_finite3(radiance):
-                total += radiance / 6.0
+                total += radiance / float(points)
     mean = (wp.max(total[0], 0.0) + wp.max(total[1], 0.0) + wp.max(total[2], 0.0)) / 3.0
     power_out[i] = area * mean

@@ -48,6 +48,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     marked = [item for item in items if item.get_closest_marker("gpu")]
     if not marked:
         return
+    from burnish.engine.device import start_warp
+
+    start_warp()
     import warp as wp
 
     if not wp.is_cuda_available():
