@@ -15,16 +15,17 @@ ENTRIES = 1025
 def filter_table(kind: PixelFilter, width: float) -> np.ndarray:
     """Return float32 [1025]: offset [px] from the pixel's centre by quantile.
 
-    The shapes are Cycles' (scene/film.cpp): a Gaussian of exp(-2 (6 x / width)^2) and the four-term
-    Blackman-Harris window, both over the full width; a box of one pixel ignores the width.
+    The shapes are Cycles' (scene/film.cpp): a Gaussian of exp(-2 (2 x / width)^2) cut off at 1.5 widths, and the
+    four-term Blackman-Harris window, which spans two widths; a box of one pixel ignores the width.
     """
     if kind == PixelFilter.BOX:
         return np.linspace(-0.5, 0.5, ENTRIES).astype(np.float32)
-    x = np.linspace(-0.5 * width, 0.5 * width, 16384)
+    span = (3.0 if kind == PixelFilter.GAUSSIAN else 2.0) * width
+    x = np.linspace(-0.5 * span, 0.5 * span, 16384)
     if kind == PixelFilter.GAUSSIAN:
-        value = np.exp(-2.0 * (3.0 * x / width) ** 2)
+        value = np.exp(-2.0 * (6.0 * x / span) ** 2)
     else:
-        phase = 2.0 * np.pi * (x / width + 0.5)
+        phase = 2.0 * np.pi * (x / span + 0.5)
         value = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]))])
     quantiles = np.linspace(0.0, cumulative[-1], ENTRIES)

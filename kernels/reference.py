@@ -57,9 +57,6 @@ from .types import (
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-# Widening of the ray cone at a rough bounce [rad per alpha]; a quarter of the lobe keeps detail where it shows.
-CONE_PER_ALPHA = wp.constant(0.25)
-
 # Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
 LONG_PATH = wp.constant(32)
 
@@ -223,8 +220,6 @@ def continue_path(options: Options, point: ShadingPoint, sample: BsdfSample, rou
     survival = survival_chance(options, bounce, throughput)
     if roulette >= survival:
         return
-    cone = paths.cone[path]
-    alpha = sample.roughness * sample.roughness
     paths.state[path] = bounce + 1
     paths.throughput[path] = throughput / survival
     paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
@@ -232,7 +227,9 @@ def continue_path(options: Options, point: ShadingPoint, sample: BsdfSample, rou
     paths.t[path] = FAR
     paths.pdf[path] = wp.where(sample.delta == 1, 0.0, sample.pdf)
     paths.kind[path] = sample.kind
-    paths.cone[path] = wp.vec2(point.footprint, cone[1] + CONE_PER_ALPHA * alpha)
+    # The cone is not widened by the lobe: blurring over it would average in parts of a texture atlas that the
+    # surface does not show, and flatten normal maps.
+    paths.cone[path] = wp.vec2(point.footprint, paths.cone[path][1])
 
 
 @wp.kernel
