@@ -10,12 +10,12 @@ import numpy as np
 import warp as wp
 
 from ..kernels import types
-from .alias_table import build_alias_table
 from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore
-from .lamps import lamp_array, lamp_power
+from .lamps import lamp_array
+from .light_table import build_lights
 from .materials import MaterialTable, default_material
 from .report import Report, ReportKind
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
@@ -64,7 +64,7 @@ class DeviceScene:
         self.environment = no_environment(device)
         self.environment_power = 0.0
         self.environment_built = False
-        self.light_struct = self._no_lights()
+        self.light_struct = build_lights(self.lamps, self.emitters, 0.0, 1.0, device)
         self.scene = types.Scene()
         self.tables = albedo_tables(device)
         self.names: tuple[int, int] = (0, 0)
@@ -285,32 +285,11 @@ class DeviceScene:
     # -- lights and the struct ----------------------------------------------------------------------------------
 
     def _choose_lights(self) -> None:
-        """Build the table by which one light is chosen: classes by the root of their power, lights by power."""
+        """Decide by what chances lights are sampled."""
         self.lamps = lamp_array(self.lights, self.origin, self.report)
-        powers = [lamp_power(self.lamps, self.radius), self.emitters.power]
-        has_world = self.environment_power > 0 and self.world is not None and self.world.sampling
-        powers.append(np.array([self.environment_power * np.pi * self.radius**2]) if has_world else np.zeros(0))
-        totals = np.array([p.sum() for p in powers])
-        share = np.sqrt(totals) / max(np.sqrt(totals).sum(), 1e-30)
-        weights = np.concatenate([p * (s / t) if t > 0 else p for p, s, t in zip(powers, share, totals, strict=True)])
-        probability, alias = build_alias_table(weights)
-        lights = types.Lights()
-        device = self.device
-        lights.lamps = wp.array(self.lamps, dtype=types.Light, device=device) if len(self.lamps) else wp.zeros(
-            1, dtype=types.Light, device=device)
-        lights.triangles = self.emitters.faces
-        lights.emitter_offset = self.emitters.offset
-        lights.emitter_index = self.emitters.index
-        total = weights.sum()
-        count = len(weights) if total > 0 else 0
-        pad = np.zeros(1)
-        lights.probability = wp.array(probability if count else pad.astype(np.float32), dtype=float, device=device)
-        lights.alias = wp.array(alias if count else pad.astype(np.int32), dtype=int, device=device)
-        lights.weight = wp.array((weights / total if count else pad).astype(np.float32), dtype=float, device=device)
-        lights.lamp_count = len(self.lamps)
-        lights.entry_count = count
-        lights.environment_entry = count - 1 if has_world and count else -1
-        self.light_struct = lights
+        sampled_world = self.world is not None and self.world.sampling
+        self.light_struct = build_lights(
+            self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device)
         self._assemble()
 
     def _assemble_with(self, environment: types.Environment, power: float) -> types.Scene:
@@ -350,19 +329,6 @@ class DeviceScene:
         scene.luminance = wp.vec3(*self.luminance)
         self.scene = scene
         return scene
-
-    def _no_lights(self) -> types.Lights:
-        lights = types.Lights()
-        device = self.device
-        lights.lamps = wp.zeros(1, dtype=types.Light, device=device)
-        lights.triangles = wp.zeros(1, dtype=wp.vec2i, device=device)
-        for name in ("emitter_offset", "emitter_index", "alias"):
-            setattr(lights, name, wp.zeros(1, dtype=int, device=device))
-        for name in ("probability", "weight"):
-            setattr(lights, name, wp.zeros(1, dtype=float, device=device))
-        lights.lamp_count = lights.entry_count = 0
-        lights.environment_entry = -1
-        return lights
 
     @property
     def has_light_programs(self) -> bool:

@@ -29,6 +29,9 @@ class EmitterTable:
     index: wp.array
     power: np.ndarray
     """float64 [E], both sides, [W]"""
+    low: np.ndarray
+    high: np.ndarray
+    """float32 [E, 3], bounds relative to the scene's origin"""
     textured: bool
     """Whether any emission varies over its surface"""
 
@@ -38,7 +41,7 @@ class EmitterTable:
         return EmitterTable(
             wp.zeros(1, dtype=wp.vec2i, device=device),
             wp.full(max(instance_count, 1), -1, dtype=int, device=device),
-            wp.zeros(1, dtype=int, device=device), np.zeros(0), False)
+            wp.zeros(1, dtype=int, device=device), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), False)
 
 
 def find_emitters(
@@ -90,9 +93,12 @@ def find_emitters(
         return EmitterTable.empty(device, len(plan.mesh_index))
     face_array = wp.array(np.concatenate(faces), dtype=wp.vec2i, device=device)
     power = wp.zeros(entries, dtype=float, device=device)
-    wp.launch(measure_emitters, entries, [scene, face_array, 0, POINTS], [power], device=device)
+    low = wp.zeros(entries, dtype=wp.vec3, device=device)
+    high = wp.zeros(entries, dtype=wp.vec3, device=device)
+    wp.launch(measure_emitters, entries, [scene, face_array, 0, POINTS], [power, low, high], device=device)
     watts = power.numpy().astype(np.float64)
     watts[~np.isfinite(watts)] = 0.0
     return EmitterTable(
         face_array, wp.array(offset, dtype=int, device=device),
-        wp.array(np.concatenate(index), dtype=int, device=device), 2.0 * np.pi * watts, textured)
+        wp.array(np.concatenate(index), dtype=int, device=device), 2.0 * np.pi * watts,
+        low.numpy().copy(), high.numpy().copy(), textured)

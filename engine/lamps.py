@@ -11,7 +11,7 @@ from ..kernels import types
 from .report import Report, ReportKind
 from .scene import LightData, LightKind
 
-__all__ = ["lamp_array", "lamp_power"]
+__all__ = ["lamp_array", "lamp_bounds", "lamp_power"]
 
 # Spreads below this are drawn as this [rad]; a spread of 0 is a beam that no sample could find.
 MIN_SPREAD = math.radians(0.5)
@@ -83,7 +83,7 @@ def _area_lamp(row: np.void, light: LightData, matrix: np.ndarray, report: Repor
 
 
 def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> np.ndarray:
-    """Return the lamps as a structured array of kernels.types.Light, [L].
+    """Return the lamps as a structured array of kernels.types.Light, [L], suns last.
 
     Lamps without power or size are left out.
 
@@ -115,7 +115,16 @@ def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> n
             continue
         if (np.asarray(row["radiance"]) != 0).any():
             rows.append(row)
+    rows.sort(key=lambda row: row["kind"] == KINDS[LightKind.SUN])
     return np.array(rows, types.Light.numpy_dtype()) if rows else np.zeros(0, types.Light.numpy_dtype())
+
+
+def lamp_bounds(lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper bounds of lamps, float64 [L, 3]; meaningless for suns."""
+    position = lamps["position"].astype(np.float64).reshape(-1, 3)
+    area = (np.abs(lamps["axis_u"]) + np.abs(lamps["axis_v"])).astype(np.float64).reshape(-1, 3) * 0.5
+    half = np.where((lamps["kind"] == KINDS[LightKind.AREA])[:, None], area, lamps["radius"][:, None])
+    return position - half, position + half
 
 
 def lamp_power(lamps: np.ndarray, radius: float) -> np.ndarray:

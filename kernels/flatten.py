@@ -49,8 +49,10 @@ def measure_emitters(
     points: int,
     # Out:
     power_out: wp.array[float],
+    low_out: wp.array[wp.vec3],
+    high_out: wp.array[wp.vec3],
 ):
-    """Return area times mean radiance of each emissive triangle, over `points` (3 or 6) where it is textured."""
+    """Write bounds, and area times mean radiance (over `points`, 3 or 6, where textured), of emissive triangles."""
     i = first + wp.tid()
     face = faces[i]
     geometry = scene.geometry
@@ -59,6 +61,8 @@ def measure_emitters(
     p0 = world_vertex(geometry, to_world, vertices[0])
     p1 = world_vertex(geometry, to_world, vertices[1])
     p2 = world_vertex(geometry, to_world, vertices[2])
+    low_out[i] = wp.min(p0, wp.min(p1, p2))
+    high_out[i] = wp.max(p0, wp.max(p1, p2))
     normal = wp.cross(p1 - p0, p2 - p0)
     area = 0.5 * wp.length(normal)
     total = wp.vec3(0.0, 0.0, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light sampling: choose a lamp, an emissive triangle or the world; draw a direction; and the pdf of hits.
+"""Light sampling: choose a lamp, an emissive triangle or the world, draw a direction; and the pdf of hits.
 
 Lamps have Cycles' shapes and units (kernel/light/ of Cycles 5.2): spheres or disks that face the receiver, suns as
 cones, one-sided rectangles and ellipses with a spread like a soft-box grid. Mesh emitters shine from both sides.
@@ -12,6 +12,7 @@ import warp as wp
 from .environment_table import environment_pdf, sample_environment
 from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
 from .intersect import triangle_error, world_vertex
+from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle
 from .types import (
     LIGHT_AREA,
@@ -241,31 +242,55 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
 
 
 @wp.func
-def sample_light(scene: Scene, position: wp.vec3, choice: float, texel: wp.vec2, u: wp.vec2) -> LightSample:
-    """Choose one light by its weight and draw a direction to it; pdf includes the choice.
+def sample_light(scene: Scene, position: wp.vec3, choice: float, place: wp.vec2, u: wp.vec2) -> LightSample:
+    """Choose one light and draw a direction to it; pdf includes the choice.
 
-    `texel` is only used where the world is chosen.
+    Args:
+        scene: The scene.
+        position: Where light arrives.
+        choice: Picks the class.
+        place: Picks the local light, or the texel of the world's table.
+        u: Place the direction.
     """
     lights = scene.lights
-    entry = sample_alias(lights.probability, lights.alias, lights.entry_count, choice)
+    chosen = sample_alias(lights.probability, lights.alias, lights.class_count, choice)
+    chance = lights.weight[chosen]
     s = LightSample()
-    if entry == lights.environment_entry:
+    if chosen == lights.environment_class:
         s.kind = LIGHT_ENVIRONMENT
-        s.wi = sample_environment(scene.environment, texel, u)
+        s.wi = sample_environment(scene.environment, place, u)
         s.pdf = environment_pdf(scene.environment, s.wi)
         s.distance = FAR
         s.radiance = wp.vec3(1.0, 1.0, 1.0)
         s.shadow = 1
         s.visibility = scene.environment.visibility
         s.normal = -s.wi
-    elif entry < lights.lamp_count:
-        s = sample_lamp(lights.lamps[entry], position, u)
     else:
-        s = sample_emitter(scene, entry - lights.lamp_count, position, u)
-    s.pdf = s.pdf * lights.weight[entry]
+        lamp = lights.local_lamp_count + chosen - 1
+        if chosen == 0:
+            local = choose_by_tree(lights.tree, position, place)
+            lamp = local.entry
+            chance = chance * local.chance
+        if lamp < 0:
+            s.kind = -1
+            return s
+        if lamp < lights.lamp_count and (chosen > 0 or lamp < lights.local_lamp_count):
+            s = sample_lamp(lights.lamps[lamp], position, u)
+        else:
+            s = sample_emitter(scene, lamp - lights.local_lamp_count, position, u)
+    s.pdf = s.pdf * chance
     if not (s.pdf > 0.0):
         s.kind = -1
     return s
+
+
+@wp.func
+def lamp_chance(scene: Scene, lamp: int, position: wp.vec3) -> float:
+    """Return the probability with which sample_light chooses a lamp."""
+    lights = scene.lights
+    if lamp < lights.local_lamp_count:
+        return lights.weight[0] * chance_by_tree(lights.tree, lamp, position)
+    return lights.weight[1 + lamp - lights.local_lamp_count]
 
 
 @wp.func
@@ -345,7 +370,7 @@ def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, dir
     """Return the pdf of light sampling for a ray that met a triangle at distance t; 0 if it is not sampled."""
     lights = scene.lights
     geometry = scene.geometry
-    if lights.entry_count == 0:
+    if lights.class_count == 0:
         return 0.0
     first = lights.emitter_offset[instance]
     if first < 0:
@@ -362,4 +387,5 @@ def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, dir
     projected = 0.5 * wp.abs(wp.dot(double_area_normal, direction))
     if projected <= 0.0:
         return 0.0
-    return lights.weight[lights.lamp_count + emitter] * t * t / projected
+    chance = lights.weight[0] * chance_by_tree(lights.tree, lights.local_lamp_count + emitter, origin)
+    return chance * t * t / projected

@@ -43,9 +43,9 @@ def shade_misses(
         radiance = evaluate_world(scene, direction, kind, bounce, wp.where(bounce == 0, paths_out.cone[path][1], 0.0))
     weight = float(1.0)
     pdf = paths_out.pdf[path]
-    if pdf > 0.0 and scene.lights.environment_entry >= 0:
+    if pdf > 0.0 and scene.lights.environment_class >= 0:
         light_pdf = environment_pdf(scene.environment, direction)
-        weight = power_heuristic(pdf, light_pdf * scene.lights.weight[scene.lights.environment_entry])
+        weight = power_heuristic(pdf, light_pdf * scene.lights.weight[scene.lights.environment_class])
     light = wp.cw_mul(paths_out.throughput[path], radiance) * weight
     add_light(paths_out, path, light, limit_at(options, bounce))
     if options.passes == 1 and bounce == 0:

@@ -15,7 +15,7 @@ import warp as wp
 
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, offset_origin
-from .lights import FAR, LightSample, emitter_pdf, lamp_hit, sample_light
+from .lights import FAR, LightSample, emitter_pdf, lamp_chance, lamp_hit, sample_light
 from .paths import (
     ENDED,
     PENDING_NONE,
@@ -79,7 +79,7 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
             if hit.t > 0.0:
                 weight = float(1.0)
                 if pdf > 0.0:
-                    weight = power_heuristic(pdf, hit.pdf * scene.lights.weight[i])
+                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin))
                 light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
                 add_light(paths, path, light, limit_at(options, bounce))
 
@@ -269,7 +269,7 @@ def shade_paths(
     if options.max_bounces > 0 and bounce >= options.max_bounces:
         return
     choice = sample_pair(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
-    if scene.lights.entry_count > 0:
+    if scene.lights.class_count > 0:
         sample_direct_light(scene, point, bsdf, choice[0], dimension, paths_out, path)
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], lobe[0]))

@@ -234,24 +234,42 @@ class Environment:
 
 
 @wp.struct
+class LightTree:
+    """All lights that have a place, as a binary tree; see engine/light_tree.py and light_tree.py."""
+
+    nodes: wp.array[wp.vec4]
+    """Centre and radius of each node's bounds, as a heap from index 1"""
+    power: wp.array[float]
+    entries: wp.array[int]
+    """Light per leaf: local lamps, then emissive triangles; -1 for padding"""
+    places: wp.array[int]
+    """Leaf per light"""
+    levels: int
+
+
+@wp.struct
 class Lights:
-    """Everything that emits, with one alias table to choose from: lamps, then emissive triangles, then the world."""
+    """Everything that emits. One is chosen by its class (local lights, each sun, the world), local ones by the tree."""
 
     lamps: wp.array[Light]
+    """Local lamps, then suns"""
+    lamp_count: int
+    local_lamp_count: int
     triangles: wp.array[wp.vec2i]
     """(instance, triangle) of emissive triangles"""
     emitter_offset: wp.array[int]
     """Per instance: first entry in emitter_index, -1 for instances without emitters"""
     emitter_index: wp.array[int]
     """Per triangle of an instance with emitters: index into `triangles` or -1"""
+    tree: LightTree
+    class_count: int
+    """0: nothing emits. Class 0 are the local lights, then the suns, then the world"""
+    environment_class: int
+    """-1: the world is not sampled"""
     probability: wp.array[float]
     alias: wp.array[int]
     weight: wp.array[float]
-    """Probability of choosing each entry, sums to 1"""
-    lamp_count: int
-    entry_count: int
-    environment_entry: int
-    """Entry of the environment or -1"""
+    """Probability of each class, sums to 1"""
 
 
 @wp.struct

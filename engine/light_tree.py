@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A binary tree over all lights that have a place, by which near and strong ones are chosen more often.
+
+After Conty Estevez and Kulla, "Importance Sampling of Many Lights with Adaptive Tree Splitting" (2018), without
+orientation cones and splitting. The lights are sorted along a Morton curve and paired up level by level, so a
+light's place in the order is also its way down the tree, and building takes a few operations on whole arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["LightTree", "build_light_tree"]
+
+
+@dataclass
+class LightTree:
+    """Nodes as a heap: node 1 is the root, node k has the children 2 k and 2 k + 1; L leaves, a power of two."""
+
+    nodes: np.ndarray
+    """float32 [2 L, 4]: centre and radius of the bounds"""
+    power: np.ndarray
+    """float32 [2 L], 0 for padding"""
+    entries: np.ndarray
+    """int32 [L]: light per leaf, -1 for padding"""
+    places: np.ndarray
+    """int32 [N]: leaf per light"""
+    levels: int
+    """log2(L)"""
+
+
+def _spread_bits(values: np.ndarray) -> np.ndarray:
+    """Put two zero bits between the lowest 20 bits of each value."""
+    x = values.astype(np.uint64) & np.uint64(0xFFFFF)
+    for shift, mask in (
+        (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+    return x
+
+
+def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> LightTree:
+    """Build the tree.
+
+    Args:
+        low: float [N, 3], lower bounds of the lights, relative to the scene's origin.
+        high: float [N, 3], upper bounds.
+        power: float [N], finite, not negative [W].
+    """
+    count = len(power)
+    levels = max(int(np.ceil(np.log2(max(count, 1)))), 0)
+    leaves = 1 << levels
+    center = 0.5 * (np.asarray(low, np.float64) + high)
+    extent = np.maximum(center.max(0) - center.min(0), 1e-30) if count else np.ones(3)
+    cells = np.minimum((center - center.min(0)) / extent * (1 << 20), (1 << 20) - 1) if count else center
+    code = sum(_spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3)) if count else np.zeros(0)
+    order = np.argsort(code, kind="stable")
+    bounds_low = np.full((2 * leaves, 3), np.inf)
+    bounds_high = np.full((2 * leaves, 3), -np.inf)
+    total = np.zeros(2 * leaves)
+    bounds_low[leaves : leaves + count] = np.asarray(low)[order]
+    bounds_high[leaves : leaves + count] = np.asarray(high)[order]
+    total[leaves : leaves + count] = np.asarray(power)[order]
+    for level in range(levels - 1, -1, -1):
+        nodes = slice(1 << level, 2 << level)
+        children = slice(2 << level, 4 << level)
+        bounds_low[nodes] = bounds_low[children].reshape(-1, 2, 3).min(1)
+        bounds_high[nodes] = bounds_high[children].reshape(-1, 2, 3).max(1)
+        total[nodes] = total[children].reshape(-1, 2).sum(1)
+    empty = ~np.isfinite(bounds_low).all(1)
+    bounds_low[empty] = bounds_high[empty] = 0.0
+    nodes = np.empty((2 * leaves, 4), np.float32)
+    nodes[:, :3] = 0.5 * (bounds_low + bounds_high)
+    nodes[:, 3] = 0.5 * np.linalg.norm(bounds_high - bounds_low, axis=1)
+    entries = np.full(leaves, -1, np.int32)
+    entries[:count] = order
+    places = np.empty(count, np.int32)
+    places[order] = np.arange(count, dtype=np.int32)
+    scale = total[1] if total[1] > 0 else 1.0
+    return LightTree(nodes, (total / scale).astype(np.float32), entries, places, levels)

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the light tree: its chances sum to one, choosing follows them, and near lights win."""
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.light_tree import build_light_tree
+from burnish.kernels import light_tree, types
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def chances(tree: types.LightTree, position: wp.vec3, out: wp.array[float]):
+    i = wp.tid()
+    out[i] = light_tree.chance_by_tree(tree, i, position)
+
+
+@wp.kernel
+def choices(tree: types.LightTree, position: wp.vec3, u: wp.array[wp.vec2], entry: wp.array[int],
+            chance: wp.array[float]):
+    i = wp.tid()
+    chosen = light_tree.choose_by_tree(tree, position, u[i])
+    entry[i] = chosen.entry
+    chance[i] = chosen.chance
+
+
+def make(count, seed=0, equal=False):
+    generator = np.random.default_rng(seed)
+    center = generator.uniform(-5, 5, (count, 3))
+    half = generator.uniform(0, 0.2, (count, 1))
+    power = np.ones(count) if equal else generator.exponential(size=count) ** 3
+    tree = build_light_tree(center - half, center + half, power)
+    struct = types.LightTree()
+    struct.nodes = wp.array(tree.nodes, dtype=wp.vec4, device="cpu")
+    struct.power = wp.array(tree.power, dtype=float, device="cpu")
+    struct.entries = wp.array(tree.entries, dtype=int, device="cpu")
+    struct.places = wp.array(tree.places, dtype=int, device="cpu")
+    struct.levels = tree.levels
+    return struct, center, power
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 17, 1000])
+def test_chances_sum_to_one(count):
+    """Distribute a chance of exactly one over the lights, seen from anywhere."""
+    tree, _, _ = make(count)
+    for position in ((0, 0, 0), (4, -3, 2), (100, 0, 0)):
+        out = wp.zeros(count, dtype=float, device="cpu")
+        wp.launch(chances, count, [tree, wp.vec3(*map(float, position)), out], device="cpu")
+        np.testing.assert_allclose(out.numpy().sum(dtype=np.float64), 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [5, 300])
+def test_choices_follow_the_chances(count):
+    """Choose each light as often as its chance says, and report that chance."""
+    tree, _, _ = make(count, 1)
+    draws = 1 << 18
+    u = np.random.default_rng(2).random((draws, 2), np.float32)
+    entry = wp.zeros(draws, dtype=int, device="cpu")
+    chance = wp.zeros(draws, dtype=float, device="cpu")
+    out = wp.zeros(count, dtype=float, device="cpu")
+    position = wp.vec3(1.0, 2.0, -1.0)
+    wp.launch(choices, draws, [tree, position, wp.array(u, dtype=wp.vec2, device="cpu"), entry, chance], device="cpu")
+    wp.launch(chances, count, [tree, position, out], device="cpu")
+    assert entry.numpy().min() >= 0
+    np.testing.assert_allclose(chance.numpy(), out.numpy()[entry.numpy()], rtol=1e-4)
+    seen = np.bincount(entry.numpy(), minlength=count)
+    expected = out.numpy() * draws
+    tested = expected > 5
+    chi2 = ((seen - expected)[tested] ** 2 / expected[tested]).sum()
+    assert chi2 < tested.sum() + 6 * np.sqrt(2 * tested.sum())
+
+
+def test_near_lights_win():
+    """Give a light next to the receiver at least twenty times the chance of an average one among a thousand."""
+    tree, center, _ = make(1000, equal=True)
+    out = wp.zeros(1000, dtype=float, device="cpu")
+    for near in range(0, 1000, 100):
+        wp.launch(chances, 1000, [tree, wp.vec3(*map(float, center[near] + 0.01)), out], device="cpu")
+        assert out.numpy()[near] > 20 / 1000
