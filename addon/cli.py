@@ -155,8 +155,10 @@ def run_info(arguments: argparse.Namespace, console: Console) -> int:
     """Print what a bug report should say."""
     import platform
 
-    from ..engine.device import choose_device, device_info
+    from ..engine.device import choose_device, device_info, kernel_cache_folder
+    from .manifest import package_version
 
+    console.print(f"Burnish: {package_version()}")
     console.print(f"Python: {platform.python_version()} on {platform.platform()}")
     for alias in dict.fromkeys((choose_device(Device.AUTO), choose_device(Device.CPU))):
         info = device_info(alias)
@@ -165,6 +167,7 @@ def run_info(arguments: argparse.Namespace, console: Console) -> int:
             console.print(f"  memory: {info.free_memory / 2**30:.1f} of {info.total_memory / 2**30:.1f} GiB free")
             console.print(f"  driver: {info.driver}")
     console.print(f"Warp: {info.warp_version}")
+    console.print(f"Kernel cache: {kernel_cache_folder()}")
     return 0
 
 

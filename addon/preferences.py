@@ -4,32 +4,23 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
-import os
 from typing import Any
 
 import bpy
 
+from ..engine.kernel_cache import set_cache_folder
 from ..engine.settings import Device, RenderSettings
 from ..ui.properties import enum_property
 
-__all__ = ["PACKAGE", "BurnishPreferences", "package_version", "preferred_device", "register", "unregister",
-           "with_device"]
-
-log = logging.getLogger(__name__)
+__all__ = ["PACKAGE", "BurnishPreferences", "preferred_device", "register", "unregister", "with_device"]
 
 PACKAGE = __package__.rpartition(".")[0]
 """The extension's module name: what Blender files its preferences under."""
 
-CACHE_VARIABLE = "WARP_CACHE_PATH"
-"""Environment variable from which Warp takes its kernel cache; set by the user or a farm, it wins."""
-
-_cache_is_ours = False
-
 
 def update_cache(self: Any, context: Any) -> None:
-    """Note a change of the cache folder; Warp reads it when it starts."""
-    apply_cache_folder(self.kernel_cache)
+    """Pass a change of the cache folder on; Warp reads it when it starts."""
+    set_cache_folder(bpy.path.abspath(self.kernel_cache))
 
 
 class BurnishPreferences(bpy.types.AddonPreferences):
@@ -73,36 +64,12 @@ def with_device(settings: RenderSettings) -> RenderSettings:
     return dataclasses.replace(settings, device=preferred_device())
 
 
-def apply_cache_folder(folder: str) -> None:
-    """Make Warp keep built kernels in `folder` from its next start, unless the environment says otherwise."""
-    global _cache_is_ours
-    if os.environ.get(CACHE_VARIABLE) and not _cache_is_ours:
-        return
-    if folder:
-        os.environ[CACHE_VARIABLE] = bpy.path.abspath(folder)
-    elif _cache_is_ours:
-        del os.environ[CACHE_VARIABLE]
-    _cache_is_ours = bool(folder)
-
-
-def package_version() -> str:
-    """Return the extension's version from its manifest, or "unknown"."""
-    import tomllib
-    from pathlib import Path
-
-    try:
-        manifest = tomllib.loads((Path(__file__).parent.parent / "blender_manifest.toml").read_text("utf-8"))
-        return str(manifest["version"])
-    except (OSError, KeyError, tomllib.TOMLDecodeError):
-        return "unknown"
-
-
 def register() -> None:
-    """Register the preferences and apply the cache folder."""
+    """Register the preferences and pass the cache folder on."""
     bpy.utils.register_class(BurnishPreferences)
     own = preferences()
-    if own is not None and own.kernel_cache:
-        apply_cache_folder(own.kernel_cache)
+    if own is not None:
+        update_cache(own, None)
 
 
 def unregister() -> None:

@@ -14,6 +14,7 @@ import bpy
 from ..engine.settings import Device
 from . import preferences, report
 from .builds import build_kernels
+from .manifest import package_version
 from .report import error_sentence
 
 __all__ = ["WarmUp", "diagnostics_text", "make_services"]
@@ -60,7 +61,7 @@ def start_warm_up() -> WarmUp:
 def diagnostics_text() -> str:
     """Return versions and devices as lines to copy into a bug report."""
     lines = [
-        f"Burnish: {preferences.package_version()}",
+        f"Burnish: {package_version()}",
         f"Blender: {bpy.app.version_string} ({bpy.app.build_hash.decode(errors='replace')})",
         f"System: {platform.platform()}",
         f"Python: {sys.version.split()[0]}",
@@ -86,13 +87,13 @@ def library_versions() -> list[tuple[str, str]]:
 
 
 def device_lines() -> list[str]:
-    """Return lines about the compute device and the graphics backend."""
+    """Return lines about the compute device, its kernels and the graphics backend."""
     import gpu
 
-    from ..engine.device import choose_device, device_info
+    from ..engine.device import choose_device, device_info, kernel_cache_folder
 
     info = device_info(choose_device(preferences.preferred_device()))
-    lines = [f"Device: {info.name} ({info.alias})"]
+    lines = [f"Device: {info.name} ({info.alias})", f"Kernel cache: {kernel_cache_folder()}"]
     if info.cuda:
         lines.append(f"Device memory: {info.free_memory / 2**30:.1f} of {info.total_memory / 2**30:.1f} GiB free")
         lines.append(f"CUDA driver: {info.driver}")

@@ -18,11 +18,12 @@ from dataclasses import dataclass
 import warp as wp
 
 from .errors import BurnishError, DeviceUnavailable, OutOfDeviceMemory
+from .kernel_cache import chosen_folder
 from .settings import Device
 
 __all__ = [
-    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "launch", "run_bands", "start_warp",
-    "thread_count",
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "kernel_cache_folder", "launch",
+    "run_bands", "start_warp", "thread_count",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -81,12 +82,20 @@ def start_warp() -> None:
         if _started:
             return
         wp.config.log_level = wp.LOG_ERROR
+        if wp.config.kernel_cache_dir is None:  # else another extension has started Warp, which reads it only then
+            wp.config.kernel_cache_dir = chosen_folder()
         try:
             with _quiet_stderr():
                 wp.init()
         except Exception as error:
             raise DeviceUnavailable(f"NVIDIA Warp could not be started ({error}); reinstall the extension.") from error
         _started = True
+
+
+def kernel_cache_folder() -> str:
+    """Return the folder in which this process finds and keeps built kernels."""
+    start_warp()
+    return str(wp.config.kernel_cache_dir)
 
 
 def choose_device(device: Device | str) -> str:

@@ -23,14 +23,14 @@ def build_lights(
 ) -> types.Lights:
     """Return the struct that light sampling reads.
 
-    Classes (local lights, suns, the world) share the samples by the roots of their power within the scene: a sun
-    outside does not starve the lamps of a room.
+    Classes (local lights, suns, the world) have equal chances: what a sun or the world delivers grows with the
+    scene's extent, which a ground plane makes huge, and says nothing of what arrives at a point.
 
     Args:
         lamps: As from lamp_array: local lamps, then suns.
         emitters: The emissive triangles.
         environment_power: The world's radiance over the sphere; 0 where it is not sampled.
-        radius: Of the scene [m].
+        radius: Of the scene [m], to compare suns with each other.
         device: Where to put it.
     """
     power = lamp_power(lamps, radius)
@@ -40,18 +40,16 @@ def build_lights(
         np.concatenate([low, emitters.low]), np.concatenate([high, emitters.high]),
         np.concatenate([power[:local], emitters.power]))
     suns = power[local:]
-    totals = np.array([power[:local].sum() + emitters.power.sum(), suns.sum(),
-                       environment_power * np.pi * radius**2])
-    share = np.sqrt(np.maximum(totals, 0.0))
-    share /= max(share.sum(), 1e-30)
+    totals = np.array([power[:local].sum() + emitters.power.sum(), suns.sum(), environment_power])
+    share = (totals > 0) / max(np.count_nonzero(totals > 0), 1)
     weights = np.concatenate([share[:1], suns * (share[1] / max(totals[1], 1e-30)), share[2:]])
     probability, alias = build_alias_table(weights)
     lights = types.Lights()
     lights.lamps = _array(lamps, types.Light, device)
     lights.lamp_count, lights.local_lamp_count = len(lamps), local
     lights.triangles, lights.emitter_offset, lights.emitter_index = emitters.faces, emitters.offset, emitters.index
-    lights.tree.nodes = _array(tree.nodes, wp.vec4, device)
-    lights.tree.power = _array(tree.power, float, device)
+    lights.tree.low = _array(tree.low, wp.vec4, device)
+    lights.tree.high = _array(tree.high, wp.vec4, device)
     lights.tree.entries = _array(tree.entries, int, device)
     lights.tree.places = _array(tree.places, int, device)
     lights.tree.levels = tree.levels

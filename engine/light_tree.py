@@ -19,10 +19,10 @@ __all__ = ["LightTree", "build_light_tree"]
 class LightTree:
     """Nodes as a heap: node 1 is the root, node k has the children 2 k and 2 k + 1; L leaves, a power of two."""
 
-    nodes: np.ndarray
-    """float32 [2 L, 4]: centre and radius of the bounds"""
-    power: np.ndarray
-    """float32 [2 L], 0 for padding"""
+    low: np.ndarray
+    """float32 [2 L, 4]: lower bounds; the least squared distance that counts"""
+    high: np.ndarray
+    """float32 [2 L, 4]: upper bounds; the share of all power, 0 for padding"""
     entries: np.ndarray
     """int32 [L]: light per leaf, -1 for padding"""
     places: np.ndarray
@@ -64,20 +64,24 @@ def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> Li
     bounds_low[leaves : leaves + count] = np.asarray(low)[order]
     bounds_high[leaves : leaves + count] = np.asarray(high)[order]
     total[leaves : leaves + count] = np.asarray(power)[order]
+    inside = np.zeros(2 * leaves)
+    inside[leaves : leaves + count] = 1.0
     for level in range(levels - 1, -1, -1):
         nodes = slice(1 << level, 2 << level)
         children = slice(2 << level, 4 << level)
         bounds_low[nodes] = bounds_low[children].reshape(-1, 2, 3).min(1)
         bounds_high[nodes] = bounds_high[children].reshape(-1, 2, 3).max(1)
         total[nodes] = total[children].reshape(-1, 2).sum(1)
+        inside[nodes] = inside[children].reshape(-1, 2).sum(1)
     empty = ~np.isfinite(bounds_low).all(1)
     bounds_low[empty] = bounds_high[empty] = 0.0
-    nodes = np.empty((2 * leaves, 4), np.float32)
-    nodes[:, :3] = 0.5 * (bounds_low + bounds_high)
-    nodes[:, 3] = 0.5 * np.linalg.norm(bounds_high - bounds_low, axis=1)
+    # Among n lights in a ball of radius r the nearest is about r / n^(1/3) away.
+    nearest = 0.25 * ((bounds_high - bounds_low) ** 2).sum(1) / np.maximum(inside, 1.0) ** (2.0 / 3.0)
+    share = total / (total[1] if total[1] > 0 else 1.0)
     entries = np.full(leaves, -1, np.int32)
     entries[:count] = order
     places = np.empty(count, np.int32)
     places[order] = np.arange(count, dtype=np.int32)
-    scale = total[1] if total[1] > 0 else 1.0
-    return LightTree(nodes, (total / scale).astype(np.float32), entries, places, levels)
+    return LightTree(
+        np.concatenate([bounds_low, nearest[:, None]], 1).astype(np.float32),
+        np.concatenate([bounds_high, share[:, None]], 1).astype(np.float32), entries, places, levels)

@@ -99,9 +99,9 @@ class Session:
         self._scene.apply(delta, self.settings.performance, progress)
         scene = self._scene
         self.stats = SessionStats(
-            triangles=scene.triangle_count(), instances=len(scene.rows), lights=len(scene.lamps) + len(scene.emitters.power),
-            texture_bytes=int(scene.textures.bytes), structure=scene.structures.description,
-            times=dict(scene.times, **delta.extra.get("times", {})))
+            triangles=scene.triangle_count(), instances=len(scene.rows),
+            lights=len(scene.lamps) + len(scene.emitters.power), texture_bytes=int(scene.textures.bytes),
+            structure=scene.structures.description, times=dict(scene.times, **delta.extra.get("times", {})))
         self.stats.device_bytes = self._memory()
         self._set_frame()
         self.reset()

@@ -22,10 +22,13 @@ class ChosenLight:
 
 @wp.func
 def node_importance(tree: LightTree, node: int, position: wp.vec3) -> float:
-    """Return power over squared distance, which counts from the node's centre but no less than its radius."""
-    bounds = tree.nodes[node]
-    offset = wp.vec3(bounds[0], bounds[1], bounds[2]) - position
-    return tree.power[node] / wp.max(wp.max(wp.length_sq(offset), bounds[3] * bounds[3]), 1.0e-12)
+    """Return power over the squared distance to the node's bounds, or that to be expected to a light in them."""
+    low = tree.low[node]
+    high = tree.high[node]
+    x = wp.max(wp.max(low[0] - position[0], position[0] - high[0]), 0.0)
+    y = wp.max(wp.max(low[1] - position[1], position[1] - high[1]), 0.0)
+    z = wp.max(wp.max(low[2] - position[2], position[2] - high[2]), 0.0)
+    return high[3] / wp.max(wp.max(x * x + y * y + z * z, low[3]), 1.0e-30)
 
 
 @wp.func
@@ -49,7 +52,7 @@ def choose_by_tree(tree: LightTree, position: wp.vec3, u: wp.vec2) -> ChosenLigh
     chosen = ChosenLight()
     chosen.entry = -1
     chosen.chance = 1.0
-    if tree.power[1] <= 0.0:
+    if tree.high[1][3] <= 0.0:
         return chosen
     node = int(1)
     random = float(u[0])

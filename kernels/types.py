@@ -237,9 +237,10 @@ class Environment:
 class LightTree:
     """All lights that have a place, as a binary tree; see engine/light_tree.py and light_tree.py."""
 
-    nodes: wp.array[wp.vec4]
-    """Centre and radius of each node's bounds, as a heap from index 1"""
-    power: wp.array[float]
+    low: wp.array[wp.vec4]
+    """Lower bounds of each node, as a heap from index 1; w = least squared distance that counts"""
+    high: wp.array[wp.vec4]
+    """Upper bounds; w = power"""
     entries: wp.array[int]
     """Light per leaf: local lamps, then emissive triangles; -1 for padding"""
     places: wp.array[int]

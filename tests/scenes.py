@@ -67,7 +67,7 @@ def box(size=1.0, inward=False):
 
 
 def material(kind="DIFFUSE", **arguments):
-    """Make a material of one closure, e.g. material("PRINCIPLED", color=0.8, roughness=0.5)."""
+    """Make a material of one closure, its kind and inputs named as ProgramBuilder.closure names them."""
     builder = ProgramBuilder()
     builder.closure(kind, 1.0, **arguments)
     return MaterialData(name=kind, program=builder.finish())

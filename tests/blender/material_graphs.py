@@ -59,18 +59,20 @@ def compare_worlds(harness: Harness) -> dict[str, dict]:
 
 
 def principled_closure(harness: Harness) -> dict:
-    """Return the closure of a Principled BSDF with every socket set."""
+    """Return the closure of a Principled BSDF with every socket set, and whether this Blender has thin walls."""
+    thin_walls = bpy.app.version >= (5, 2, 0)
     values = {
         "Base Color": (0.1, 0.2, 0.3, 1.0), "Metallic": 0.11, "Roughness": 0.12, "IOR": 1.3, "Alpha": 0.7,
-        "Thin Wall": True, "Diffuse Roughness": 0.14, "Specular IOR Level": 0.15, "Anisotropic": 0.16,
+        "Diffuse Roughness": 0.14, "Specular IOR Level": 0.15, "Anisotropic": 0.16,
         "Anisotropic Rotation": 0.17, "Transmission Weight": 0.18, "Coat Weight": 0.19, "Coat Roughness": 0.21,
         "Coat IOR": 1.22, "Sheen Weight": 0.23, "Sheen Roughness": 0.24, "Subsurface Weight": 0.25,
-        "Emission Color": (1.0, 2.0, 3.0, 1.0), "Emission Strength": 2.0,
+        "Emission Color": (1.0, 2.0, 3.0, 1.0), "Emission Strength": 2.0, **({"Thin Wall": True} if thin_walls else {}),
     }
     result = harness.machine(new_material(node_graph("BsdfPrincipled", values=values, distribution='GGX')))
     closure = result["closures"][0]
     found = {name: closure[name].tolist() for name in closure.dtype.names}
     found["nee_emission"] = result["emission"][0].tolist()
+    found["thin_walls"] = thin_walls
     return found
 
 

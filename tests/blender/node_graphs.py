@@ -352,8 +352,9 @@ def normal_graphs() -> dict[str, Graph]:
         for strength in (1.0, 0.4):
             graphs[f"normal map {space} {strength}"] = node_graph(
                 "NormalMap", links_to={"Color": texel}, values={"Strength": strength}, space=space)
-    graphs["normal map of DirectX"] = node_graph(
-        "NormalMap", links_to={"Color": texel}, convention='DIRECTX', uv_map="UVMap")
+    if bpy.app.version >= (5, 2, 0):  # which brought the choice
+        graphs["normal map of DirectX"] = node_graph(
+            "NormalMap", links_to={"Color": texel}, convention='DIRECTX', uv_map="UVMap")
     smooth = make_image("smooth", width=4, height=4)
     heights = {
         "image": node_graph("TexImage", image=smooth),

@@ -10,6 +10,7 @@ ours, do not.
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import subprocess
 from collections.abc import Callable
@@ -27,6 +28,9 @@ TOLERANCE = 0.01
 """Of the brighter channel: Cycles' own noise at 144 x 64 samples a plane is about 0.003."""
 SHEEN_TOLERANCE = 0.02
 """Absolute: the sheen is a closed-form fit to the tables that Cycles interpolates."""
+
+THIN_WALLS = not importlib.metadata.version("bpy").startswith(("5.0.", "5.1."))
+"""Whether Blender's Principled BSDF has them: since 5.2."""
 
 FIELDS = {
     "Base Color": "color", "Color": "color", "Metallic": "metallic", "Roughness": "roughness", "IOR": "ior",
@@ -220,7 +224,7 @@ def test_lobes_agree_with_cycles(
     group: Callable[[], list[dict]], tmp_path: Path, run_python: Callable[..., subprocess.CompletedProcess]
 ) -> None:
     """Return the same light as Cycles for every case under every sky."""
-    cases = group()
+    cases = [entry for entry in group() if THIN_WALLS or "Thin Wall" not in entry["inputs"]]
     process = run_python(SCRIPT, json.dumps(cases), tmp_path)
     assert process.returncode == 0, process.stderr
     theirs, ours = np.load(tmp_path / "moments.npy"), integrate(cases)

@@ -159,11 +159,36 @@ assert bpy.context.selected_objects == [bpy.context.scene.camera]
 assert bpy.ops.burnish.select_owner(owner="everything") == {'CANCELLED'}
 from burnish.addon.services import diagnostics_text
 text = diagnostics_text()
-for word in ("Blender: ", "Warp: ", "NumPy: ", "OpenImageIO: ", "Device: "):
+for word in ("Burnish: ", "Blender: ", "Warp: ", "NumPy: ", "OpenImageIO: ", "Device: ", "Kernel cache: "):
     assert word in text, text
-assert "not usable" not in text, text
+assert "not usable" not in text and "unknown" not in text, text
 burnish.unregister()
 """)
+
+
+def test_preferences_choose_the_kernel_cache(run_python, tmp_path):
+    """Pass the preferences' folder on to Warp when it is set, and again when Burnish is switched on."""
+    script = """
+import os
+os.environ.pop("WARP_CACHE_PATH", None)
+folder = os.path.join(sys.argv[1], "kernels")
+from burnish.engine import kernel_cache
+burnish.register()
+bpy.context.preferences.addons.new().module = "burnish"
+chosen = bpy.context.preferences.addons["burnish"].preferences
+chosen.kernel_cache = folder
+assert kernel_cache.chosen_folder() == folder
+chosen.kernel_cache = ""
+assert kernel_cache.chosen_folder() is None
+chosen.kernel_cache = folder
+burnish.unregister()
+kernel_cache.set_cache_folder("")
+burnish.register()
+assert kernel_cache.chosen_folder() == folder
+burnish.unregister()
+"""
+    result = run_python(SNAPSHOT + script + "\nprint('done')", tmp_path)
+    assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 
 def test_importing_the_engine_loads_no_bpy(run_python):

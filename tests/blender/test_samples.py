@@ -30,10 +30,14 @@ for path in sys.argv[1:]:
     scene = bpy.context.scene
     graph = bpy.context.evaluated_depsgraph_get()
     matrices = [(i.object.name, rounded(v for row in i.matrix_world for v in row)) for i in graph.object_instances]
-    trees = [x.node_tree for x in (*bpy.data.materials, *bpy.data.worlds) if x.node_tree]
-    nodes = [(t.name, n.name, rounded(s.default_value[:] if hasattr(s.default_value, "__len__") else [s.default_value]))
-             for t in trees for n in t.nodes for s in n.inputs
-             if hasattr(s, "default_value") and not isinstance(s.default_value, str)]
+    owners = [x for x in (*bpy.data.materials, *bpy.data.worlds) if x.node_tree]
+    trees = [x.node_tree for x in owners]
+    # The files were made by 5.2, where new nodes have another subsurface scale than in 5.0 (no sample has subsurface).
+    skipped = () if bpy.app.version >= (5, 2, 0) else ("Subsurface Scale",)
+    nodes = [(x.name, n.name, s.identifier,
+              rounded(s.default_value[:] if hasattr(s.default_value, "__len__") else [s.default_value]))
+             for x in owners for n in x.node_tree.nodes for s in n.inputs
+             if hasattr(s, "default_value") and not isinstance(s.default_value, str) and s.identifier not in skipped]
     instances = [i for i in graph.object_instances if i.is_instance]
     lights = [x.data for x in scene.objects if x.type == 'LIGHT']
     result[path] = {

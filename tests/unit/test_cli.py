@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,20 @@ def test_arguments_are_read_without_blender() -> None:
     script = ("import sys; from burnish.addon import cli; cli.main(['render', 'missing.blend', '-o', 'a.exr']);"
               "raise SystemExit('bpy' in sys.modules)")
     assert subprocess.run([sys.executable, "-c", script], timeout=60, capture_output=True, check=False).returncode == 0
+
+
+def test_info_says_what_a_bug_report_needs(capfd: pytest.CaptureFixture) -> None:
+    """Print the versions, the devices and the folder of built kernels, and nothing else."""
+    from burnish.engine.device import kernel_cache_folder
+
+    assert cli.main(["info"]) == 0
+    out, error = capfd.readouterr()
+    lines = out.splitlines()
+    version = tomllib.loads((Path(__file__).parents[2] / "blender_manifest.toml").read_text("utf-8"))["version"]
+    assert f"Burnish: {version}" in lines
+    assert f"Kernel cache: {kernel_cache_folder()}" in lines
+    assert any(line.startswith("Device cpu: ") for line in lines)
+    assert error == ""
 
 
 def test_an_unexpected_error_is_one_sentence(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
