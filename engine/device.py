@@ -182,3 +182,9 @@ def block_size(module_name: str, device: str) -> int:
 def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:
     """Launch a kernel over `count` threads with its module's block size."""
     wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))
+
+
+def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str) -> wp.Launch:
+    """Prepare a launch that is repeated; its `set_dim` comes before each `launch`."""
+    return wp.launch(kernel, 1, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
+                     record_cmd=True)

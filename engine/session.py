@@ -77,6 +77,7 @@ class Session:
         self._key: tuple = ()
         self._camera: CameraData | None = None
         self._overruns = Report()
+        self._kept_options: tuple[tuple, Options] | None = None
 
     @property
     def report(self) -> Report:
@@ -259,6 +260,15 @@ class Session:
                 self._scene.material_table.set_camera(self._camera, tuple(origin))
 
     def _options(self) -> Options:
+        """Return the kernels' settings; the same object as long as they are the same."""
+        scene = self._scene
+        key = (self.settings.light_paths, self.settings.film, self._film.passes, scene.structures.has_filtered,
+               scene.has_light_programs)
+        if self._kept_options is None or self._kept_options[0] != key:
+            self._kept_options = (key, self._make_options())
+        return self._kept_options[1]
+
+    def _make_options(self) -> Options:
         paths, options = self.settings.light_paths, Options()
         options.max_bounces = paths.max_bounces
         options.roulette_start = paths.roulette_start

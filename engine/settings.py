@@ -120,8 +120,8 @@ class FilmSettings:
     exposure: float = setting(1.0, "Factor on all light reaching the film", low=0.0, high=1e6, soft_high=10.0)
     pixel_filter: PixelFilter = setting(PixelFilter.BLACKMAN_HARRIS, "Reconstruction filter of the pixels")
     filter_width: float = setting(
-        1.5, "Width of the pixel filter, as in Cycles: samples come from up to this far to each side", low=0.01, high=10.0,
-        unit="px")
+        1.5, "Width of the pixel filter, as in Cycles: samples come from up to this far to each side", low=0.01,
+        high=10.0, unit="px")
     transparent: bool = setting(False, "Make the world transparent, for compositing over another picture")
 
 

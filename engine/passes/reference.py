@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -28,7 +28,7 @@ from ...kernels import (
 )
 from ...kernels.paths import ENDED, Options, Paths
 from ...kernels.types import Closure, FrameData, Scene
-from ..device import launch, run_bands
+from ..device import launch, record, run_bands
 
 __all__ = ["FilmBuffers", "ReferencePass"]
 
@@ -120,6 +120,10 @@ class _Slot:
     counter: wp.array
     frame: wp.array
     capacity: int
+    commands: dict[int, list[tuple[wp.Launch, int]]] = field(default_factory=dict)
+    """Recorded launches of one bounce by queue (its address), each with the index of its bounce number or -1"""
+    recorded_for: tuple[Scene, Options] | None = None
+    """What the launches were recorded with; kept, so that no other object takes its identity"""
 
 
 class ReferencePass:
@@ -251,22 +255,41 @@ class ReferencePass:
     def _bounce(
         self, slot: _Slot, scene: Scene, options: Options, queue: wp.array, living: int, bounce: int,
     ) -> None:
-        """Trace and shade one segment of every path in the queue: the path tracer's table of contents."""
-        paths, device = slot.paths, self.device
-        shadow = [scene, options, bounce, queue]
-        launch(tracing.trace_paths, living, [scene, queue], [paths], device)
+        """Trace and shade one segment of every path in the queue.
+
+        Launches are recorded once: packing the scene's struct anew for each would take longer than small kernels do.
+        """
+        if slot.recorded_for is None or slot.recorded_for[0] is not scene or slot.recorded_for[1] is not options:
+            slot.commands, slot.recorded_for = {}, (scene, options)
+        commands = slot.commands.get(queue.ptr)
+        if commands is None:
+            commands = slot.commands[queue.ptr] = self._record(slot, scene, options, queue)
+        for command, bounce_index in commands:
+            command.set_dim(living)
+            if bounce_index >= 0:
+                command.set_param_at_index(bounce_index, bounce)
+            command.launch()
+
+    def _record(
+        self, slot: _Slot, scene: Scene, options: Options, queue: wp.array,
+    ) -> list[tuple[wp.Launch, int]]:
+        """Record the launches of one bounce: the path tracer's table of contents."""
+        rays = [scene, queue]
+        misses_of = [scene, options, queue]
+        shadows = [scene, options, 0, queue]
+        steps = [(tracing.trace_paths, rays)]
         if options.filtered == 1:
-            launch(tracing.trace_layers, living, [scene, queue], [paths], device)
-            launch(layers.filter_paths, living, [scene, queue], [paths], device)
-        launch(misses.shade_misses, living, [scene, options, queue], [paths], device)
-        launch(materials.evaluate_materials, living, [scene, queue], [paths], device)
-        launch(reference.shade_paths, living, [slot.frame, scene, options, queue], [paths], device)
-        launch(tracing.trace_shadows, living, shadow, [paths], device)
+            steps += [(tracing.trace_layers, rays), (layers.filter_paths, rays)]
+        steps += [
+            (misses.shade_misses, misses_of), (materials.evaluate_materials, rays),
+            (reference.shade_paths, [slot.frame, scene, options, queue]), (tracing.trace_shadows, shadows)]
         if options.filtered == 1:
-            launch(tracing.trace_shadow_layers, living, shadow, [paths], device)
-            launch(shadow_layers.weaken_shadow_rays, living, shadow, [paths], device)
+            steps += [(tracing.trace_shadow_layers, shadows), (shadow_layers.weaken_shadow_rays, shadows)]
         if options.programs == 1:
-            launch(shadow_lights.shade_lights, living, shadow, [paths], device)
+            steps += [(shadow_lights.shade_lights, shadows)]
+        return [
+            (record(kernel, inputs, [slot.paths], self.device), 2 if inputs is shadows else -1)
+            for kernel, inputs in steps]
 
     def _compact(self, slot: _Slot, queue: wp.array, living: int, bounce: int) -> tuple[wp.array, int]:
         """Return the queue of the paths that go on, and their number."""
