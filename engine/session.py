@@ -76,7 +76,7 @@ class Session:
         self._frame: np.ndarray | None = None
         self._key: tuple = ()
         self._camera: CameraData | None = None
-        self._overruns = Report()
+        self._sampling_report = Report()
         self._kept_options: tuple[tuple, Options] | None = None
 
     @property
@@ -84,7 +84,7 @@ class Session:
         """Return what the device scene approximated, skipped or missed."""
         report = Report()
         report.merge(self._scene.report)
-        report.merge(self._overruns)
+        report.merge(self._sampling_report)
         return report
 
     def update(self, delta: SceneDelta, progress: Callable[[str, float], None] | None = None) -> None:
@@ -189,6 +189,7 @@ class Session:
     def close(self) -> None:
         """Give the device's memory back."""
         self._film = None
+        self._kept_options = None
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
 
@@ -210,16 +211,15 @@ class Session:
         """Return the Combined picture on the device: vec4 [h * w], valid until the next call."""
         wp.launch(
             film.resolve_color, self._film.pixel_count,
-            [self._film.film, self._band_samples(), int(self.settings.film.transparent)], [self._film.picture],
-            device=self.device)
-        self._count_rejected()
+            [self._film.film, int(self.settings.film.transparent)], [self._film.picture], device=self.device)
+        self._count_oddities()
         return self._film.picture
 
     def _read_flat(self, name: str) -> np.ndarray:
-        buffers, count = self._film.film, max(self.samples_done, 1)
+        buffers = self._film.film
         if name == "Combined":
             return self.resolve().numpy()
-        counts = np.maximum(self._band_samples().numpy(), 1)[:, None]
+        counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
         uv = buffers.uv.numpy()
         seen = uv[:, 2:3] / counts
         if name == "Depth":
@@ -236,20 +236,21 @@ class Session:
             return getattr(buffers, name.lower()).numpy() / counts
         if name == "Object Index":
             return buffers.position.numpy()[:, 3:4]
-        del count
         return uv[:, 3:4]
 
-    def _band_samples(self) -> wp.array:
-        """Return the samples of each pixel: bands may differ by one after a cancel."""
-        counts = np.concatenate([np.full(band.count, band.samples, np.int32) for band in self._pass.bands])
-        return wp.array(counts, dtype=int, device=self.device)
-
-    def _count_rejected(self) -> None:
-        self._overruns = Report()
-        rejected = int(self._film.film.rejected.numpy().sum())
+    def _count_oddities(self) -> None:
+        """Tell what the kernels counted while sampling."""
+        self._sampling_report = Report()
+        buffers = self._film.film
+        rejected = int(wp.utils.array_sum(buffers.rejected))
         if rejected:
-            self._overruns.add(
+            self._sampling_report.add(
                 ReportKind.ERROR, "", "samples that were not finite were left out of the picture", rejected)
+        if self._scene.structures.has_filtered:
+            overruns = int(wp.utils.array_sum(buffers.overruns))
+            if overruns:
+                self._sampling_report.add(
+                    ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there", overruns)
 
     def _set_frame(self) -> None:
         if self._camera is not None:

@@ -29,8 +29,12 @@ class Film:
     """First sample: distance along the view axis"""
     emission: wp.array[wp.vec3]
     environment: wp.array[wp.vec3]
+    samples: wp.array[int]
+    """Samples that the pixel has: after a cancel some pixels have one more than others"""
     rejected: wp.array[int]
-    """Samples left out because they were not finite"""
+    """Of them, left out because they were not finite"""
+    overruns: wp.array[int]
+    """Rays that met too many transparent layers"""
 
 
 @wp.kernel
@@ -51,8 +55,10 @@ def accumulate_samples(
     color = film_out.color[pixel]
     rest = film_out.color_rest[pixel]
     rejected = int(0)
+    overruns = int(0)
     for sample in range(sample_count):
         r = paths.radiance[sample * pixel_count + local]
+        overruns += paths.overruns[sample * pixel_count + local]
         if is_finite3(wp.vec3(r[0], r[1], r[2])):
             value = wp.vec4(r[0] * options.exposure, r[1] * options.exposure, r[2] * options.exposure, r[3])
             y = value - rest
@@ -63,7 +69,9 @@ def accumulate_samples(
             rejected += 1
     film_out.color[pixel] = color
     film_out.color_rest[pixel] = rest
+    film_out.samples[pixel] = film_out.samples[pixel] + sample_count
     film_out.rejected[pixel] = film_out.rejected[pixel] + rejected
+    film_out.overruns[pixel] = film_out.overruns[pixel] + overruns
     if options.passes == 1:
         for sample in range(sample_count):
             path = sample * pixel_count + local
@@ -100,13 +108,12 @@ def clear_surfaces(
 def resolve_color(
     # In:
     film: Film,
-    sample_counts: wp.array[int],
     transparent: int,
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
     """Divide the sums by the number of samples that went into them."""
     pixel = wp.tid()
-    c = (film.color[pixel] - film.color_rest[pixel]) / float(wp.max(sample_counts[pixel] - film.rejected[pixel], 1))
+    c = (film.color[pixel] - film.color_rest[pixel]) / float(wp.max(film.samples[pixel] - film.rejected[pixel], 1))
     alpha = wp.where(transparent == 1, wp.clamp(c[3], 0.0, 1.0), 1.0)
     picture_out[pixel] = wp.vec4(wp.max(c[0], 0.0), wp.max(c[1], 0.0), wp.max(c[2], 0.0), alpha)

@@ -100,20 +100,27 @@ def accept_hit(
 @wp.func
 def transmittance(
     scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, first: Hit, depth: int,
-) -> wp.vec3:
-    """Return the product of all layers' transparency along a shadow ray that no opaque triangle blocks."""
+) -> FilteredHit:
+    """Return as `weight` the product of all layers' transparency along a shadow ray that nothing opaque blocks."""
+    result = FilteredHit()
+    result.overrun = 0
     product = wp.vec3(1.0, 1.0, 1.0)
     hit = first
     for _layer in range(MAX_LAYERS):
         point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
         product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW))
         if max_component(product) <= 0.0:
-            return product
+            result.weight = product
+            return result
         start = step_past(point, direction, hit.t)
         if start >= distance:
-            return product
+            result.weight = product
+            return result
         hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
         if hit.instance == MISS:
-            return product
+            result.weight = product
+            return result
         hit.t = hit.t + start
-    return wp.vec3(0.0, 0.0, 0.0)
+    result.weight = wp.vec3(0.0, 0.0, 0.0)
+    result.overrun = 1
+    return result

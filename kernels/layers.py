@@ -35,4 +35,5 @@ def filter_paths(
         scene, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path),
         load_layer(paths_out, path), paths_out.kind[path], paths_out.state[path], paths_out.cone[path], noise)
     store_hit(paths_out, path, found.hit)
+    paths_out.overruns[path] = paths_out.overruns[path] + found.overrun
     paths_out.throughput[path] = wp.cw_mul(paths_out.throughput[path], found.weight)

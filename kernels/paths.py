@@ -69,6 +69,8 @@ class Paths:
     layer: wp.array[wp.vec2i]
     """(instance, triangle) of it; instance MISS for none"""
     layer_barycentrics: wp.array[wp.vec2]
+    overruns: wp.array[int]
+    """Rays of the path that met more transparent layers than are looked through"""
     closure: wp.array[Closure]
     """What the material of the hit says"""
     shadow_origin: wp.array[wp.vec3]

@@ -31,9 +31,11 @@ def weaken_shadow_rays(
         return
     light = paths_out.shadow_light[path]
     if distance > 0.0:
-        light = wp.cw_mul(light, transmittance(
+        passed = transmittance(
             scene, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance,
-            load_layer(paths_out, path), bounce + 1))
+            load_layer(paths_out, path), bounce + 1)
+        light = wp.cw_mul(light, passed.weight)
+        paths_out.overruns[path] = paths_out.overruns[path] + passed.overrun
     if not max_component(light) > 0.0:
         paths_out.shadow_distance[path] = 0.0
     elif paths_out.shadow_pending[path] == PENDING_NONE:

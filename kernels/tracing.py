@@ -46,6 +46,7 @@ def generate_paths(
         float(y) + 0.5 + filter_offset(filter_table, jitter[1]))
     ray = camera_ray(frame, film, sample_pair(seed, index, DIMENSION_LENS))
     paths_out.state[path] = 0
+    paths_out.overruns[path] = 0
     paths_out.seed[path] = seed
     paths_out.index[path] = index
     paths_out.origin[path] = ray.origin

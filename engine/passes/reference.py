@@ -58,10 +58,10 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
     for name, dtype in (
         ("state", int), ("seed", wp.uint32), ("index", wp.uint32), ("origin", wp.vec3), ("direction", wp.vec3),
         ("t", float), ("hit", wp.vec2i), ("barycentrics", wp.vec2), ("throughput", wp.vec3), ("radiance", wp.vec4),
-        ("pdf", float), ("kind", int), ("cone", wp.vec2), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3),
-        ("shadow_distance", float), ("shadow_light", wp.vec3), ("shadow_pending", int),
-        ("shadow_emitter", wp.vec2i), ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i),
-        ("layer_barycentrics", wp.vec2), ("closure", Closure),
+        ("pdf", float), ("kind", int), ("overruns", int), ("cone", wp.vec2), ("shadow_origin", wp.vec3),
+        ("shadow_direction", wp.vec3), ("shadow_distance", float), ("shadow_light", wp.vec3),
+        ("shadow_pending", int), ("shadow_emitter", wp.vec2i), ("shadow_barycentrics", wp.vec2), ("layer_t", float),
+        ("layer", wp.vec2i), ("layer_barycentrics", wp.vec2), ("closure", Closure),
     ):
         setattr(paths, name, _vectors(count, dtype, device))
     for name in ("surface_normal", "surface_position", "surface_uv"):
@@ -87,7 +87,8 @@ class FilmBuffers:
         extra = pixel_count if passes else 1
         buffers.color = _vectors(pixel_count, wp.vec4, device)
         buffers.color_rest = _vectors(pixel_count, wp.vec4, device)
-        buffers.rejected = _vectors(pixel_count, int, device)
+        for name in ("samples", "rejected", "overruns"):
+            setattr(buffers, name, _vectors(pixel_count, int, device))
         for name, dtype in (
             ("normal", wp.vec4), ("position", wp.vec4), ("uv", wp.vec4), ("depth", float), ("emission", wp.vec3),
             ("environment", wp.vec3),
@@ -97,7 +98,10 @@ class FilmBuffers:
 
     def clear(self) -> None:
         """Forget all samples."""
-        for name in ("color", "color_rest", "rejected", "normal", "position", "uv", "depth", "emission", "environment"):
+        for name in (
+            "color", "color_rest", "samples", "rejected", "overruns", "normal", "position", "uv", "depth", "emission",
+            "environment",
+        ):
             getattr(self.film, name).zero_()
 
 

@@ -117,6 +117,26 @@ def test_transparency_in_camera_bounce_and_shadow_rays(weight):
     np.testing.assert_allclose(image[..., 0].mean(dtype=np.float64), 0.5 * weight**4, rtol=0.03)
 
 
+def test_too_many_layers_are_counted():
+    """Stop behind 32 transparent layers, camera and shadow rays alike, and tell so in the report."""
+    meshes = {"plane": scenes.quad(20.0)}
+    materials = {"grey": scenes.material(color=0.5), "veil": scenes.transparent(1.0)}
+    camera = scenes.camera_above(half=0.1, height=50.0)
+
+    def shot(layers):
+        objects = [("plane", np.eye(4), "grey")]
+        objects += [("plane", scenes.place(z=1.0 + 0.5 * i), "veil") for i in range(layers)]
+        scene = scenes.delta(meshes, objects, materials, [scenes.lamp("SUN", np.pi)])
+        image, session = scenes.render(scene, camera, samples=4, passes=("Combined", "Depth"))
+        return image[..., 0].mean(), session.report.text()
+
+    radiance, report = shot(31)
+    np.testing.assert_allclose(radiance, 0.5, rtol=1e-3)
+    assert "layers" not in report
+    radiance, report = shot(40)
+    assert radiance == 0.0 and "more than 32 transparent layers" in report
+
+
 def test_ray_visibility():
     """Hide an object from the camera yet keep its shadow, and the reverse."""
     meshes = {"plane": scenes.quad(20.0), "lid": scenes.quad(5.0)}
