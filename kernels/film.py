@@ -31,9 +31,9 @@ class Film:
     environment: wp.array[wp.vec3]
     samples: wp.array[int]
     """Samples that the pixel has: after a cancel some pixels have one more than others"""
-    rejected: wp.array[int]
+    rejected: wp.array[float]
     """Of them, left out because they were not finite"""
-    overruns: wp.array[int]
+    overruns: wp.array[float]
     """Rays that met too many transparent layers"""
 
 
@@ -54,11 +54,11 @@ def accumulate_samples(
     pixel = first_pixel + local
     color = film_out.color[pixel]
     rest = film_out.color_rest[pixel]
-    rejected = int(0)
-    overruns = int(0)
+    rejected = float(0.0)
+    overruns = float(0.0)
     for sample in range(sample_count):
         r = paths.radiance[sample * pixel_count + local]
-        overruns += paths.overruns[sample * pixel_count + local]
+        overruns += float(paths.overruns[sample * pixel_count + local])
         if is_finite3(wp.vec3(r[0], r[1], r[2])):
             value = wp.vec4(r[0] * options.exposure, r[1] * options.exposure, r[2] * options.exposure, r[3])
             y = value - rest
@@ -66,7 +66,7 @@ def accumulate_samples(
             rest = (total - color) - y
             color = total
         else:
-            rejected += 1
+            rejected += 1.0
     film_out.color[pixel] = color
     film_out.color_rest[pixel] = rest
     film_out.samples[pixel] = film_out.samples[pixel] + sample_count
@@ -114,6 +114,6 @@ def resolve_color(
 ):
     """Divide the sums by the number of samples that went into them."""
     pixel = wp.tid()
-    c = (film.color[pixel] - film.color_rest[pixel]) / float(wp.max(film.samples[pixel] - film.rejected[pixel], 1))
+    c = (film.color[pixel] - film.color_rest[pixel]) / wp.max(float(film.samples[pixel]) - film.rejected[pixel], 1.0)
     alpha = wp.where(transparent == 1, wp.clamp(c[3], 0.0, 1.0), 1.0)
     picture_out[pixel] = wp.vec4(wp.max(c[0], 0.0), wp.max(c[1], 0.0), wp.max(c[2], 0.0), alpha)

@@ -87,8 +87,10 @@ class FilmBuffers:
         extra = pixel_count if passes else 1
         buffers.color = _vectors(pixel_count, wp.vec4, device)
         buffers.color_rest = _vectors(pixel_count, wp.vec4, device)
-        for name in ("samples", "rejected", "overruns"):
-            setattr(buffers, name, _vectors(pixel_count, int, device))
+        buffers.samples = _vectors(pixel_count, int, device)
+        # Counted as floats: Warp's sum of an array takes no integers.
+        buffers.rejected = _vectors(pixel_count, float, device)
+        buffers.overruns = _vectors(pixel_count, float, device)
         for name, dtype in (
             ("normal", wp.vec4), ("position", wp.vec4), ("uv", wp.vec4), ("depth", float), ("emission", wp.vec3),
             ("environment", wp.vec3),
