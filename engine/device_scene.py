@@ -17,7 +17,7 @@ from .geometry_store import GeometryStore
 from .lamps import lamp_array
 from .light_table import build_lights
 from .materials import MaterialTable, default_material
-from .report import Report, ReportKind
+from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
 from .settings import PerformanceSettings
 from .structures import InstancePlan, Structures
@@ -58,7 +58,6 @@ class DeviceScene:
         self.world: WorldData | None = None
         self.origin = np.zeros(3)
         self.radius = 1.0
-        self.extent = 1.0
         self.luminance = (0.2126729, 0.7151522, 0.0721750)
         self.emitters = EmitterTable.empty(device)
         self.environment = no_environment(device)
@@ -202,7 +201,6 @@ class DeviceScene:
         if drawn.any():
             low, high = self.low[drawn], self.high[drawn]
             self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
-            self.extent = float(np.abs([low, high]).max())
 
     def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
         """Move far-away scenes to the origin: float32 keeps what matters near it."""
@@ -315,7 +313,6 @@ class DeviceScene:
         geometry.uvs = store.uvs.array
         geometry.attributes = store.attributes.array
         geometry.uv_offsets, geometry.attribute_offsets = store.tables()
-        geometry.epsilon = self.extent * 2.0**-23
         scene = types.Scene()
         scene.geometry = geometry
         materials = self.material_table.struct()
@@ -325,7 +322,6 @@ class DeviceScene:
         scene.tables = self.tables
         scene.environment = self.environment
         scene.lights = self.light_struct
-        scene.radius = self.radius
         scene.luminance = wp.vec3(*self.luminance)
         self.scene = scene
         return scene
@@ -341,7 +337,3 @@ class DeviceScene:
             return 0
         counts = np.array([self.store.ranges[key].triangle_count for key in self.plan.mesh_keys])
         return int(counts[self.plan.mesh_index[self.plan.mesh_index >= 0]].sum())
-
-    def add_notes(self) -> None:
-        """Tell in the report how the scene is held."""
-        self.report.add(ReportKind.INFO, "", f"structure: {self.structures.description}")

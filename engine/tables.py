@@ -16,6 +16,7 @@ import warp as wp
 
 from ..kernels import albedo_tables as kernels
 from ..kernels.types import Tables
+from .device import start_warp
 
 __all__ = ["TABLES_VERSION", "albedo_tables", "compute_tables", "load_tables"]
 
@@ -98,7 +99,7 @@ def save_tables(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 def default_path() -> Path:
     """Return where the tables are kept: in Warp's kernel cache."""
-    wp.init()
+    start_warp()
     return Path(wp.config.kernel_cache_dir) / "burnish_albedo_tables.npz"
 
 

@@ -41,12 +41,6 @@ class Hit:
 
 
 @wp.func
-def closest_in_mesh(mesh: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float) -> wp.MeshQueryRay:
-    """Query one wp.Mesh for the closest hit below t_max."""
-    return wp.mesh_query_ray(mesh, origin, direction, t_max)
-
-
-@wp.func
 def closest_static(bvh: wp.uint64, faces: wp.array[wp.vec2i], origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
     """Shorten `hit` by the flattened triangles of one structure (0: there is none)."""
     result = hit

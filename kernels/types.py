@@ -120,8 +120,6 @@ class Geometry:
     attributes: wp.array[wp.vec4]
     """All other attributes alike"""
     attribute_offsets: wp.array2d[int]
-    epsilon: float
-    """Float error of a coordinate at the scene's extent: |largest coordinate| * 2**-23"""
 
 
 @wp.struct
@@ -304,8 +302,6 @@ class Scene:
     lights: Lights
     environment: Environment
     tables: Tables
-    radius: float
-    """Half the diagonal of the scene's bounds [m]"""
     luminance: wp.vec3
     """Weights of the working space's primaries"""
 
