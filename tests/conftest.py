@@ -43,6 +43,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", help="Warp device of the tests: cpu or cuda:0")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Tell tests/scenes.py which device to render on."""
+    os.environ["BURNISH_TEST_DEVICE"] = config.getoption("--device").partition(":")[0]
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip tests marked `gpu` where there is no CUDA device."""
     marked = [item for item in items if item.get_closest_marker("gpu")]

@@ -2,6 +2,7 @@
 """Small scenes for tests, built from plain data without Blender."""
 
 import functools
+import os
 
 import numpy as np
 from burnish.engine.program import ProgramBuilder
@@ -18,7 +19,9 @@ from burnish.engine.scene import (
 from burnish.engine.session import Session
 from burnish.engine.settings import Device, FilmSettings, LightPathSettings, PixelFilter, RenderSettings
 
-SETTINGS = RenderSettings(device=Device.CPU, film=FilmSettings(pixel_filter=PixelFilter.BOX))
+SETTINGS = RenderSettings(
+    device=Device(os.environ.get("BURNISH_TEST_DEVICE", "cpu")), film=FilmSettings(pixel_filter=PixelFilter.BOX))
+"""On the device that `pytest --device` names"""
 
 
 def mesh(positions, triangles, normals=None, uvs=None):
