@@ -11,7 +11,7 @@ import warp as wp
 
 from .environment_table import environment_pdf, sample_environment
 from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
-from .intersect import triangle_error, world_vertex
+from .intersect import hit_error, world_vertex
 from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle
 from .types import (
@@ -51,7 +51,7 @@ class LightSample:
     """0: casts no shadow"""
     visibility: int
     error: float
-    """Float error of the sampled point"""
+    """Float error of the sampled point along `normal`"""
     normal: wp.vec3
     """Of the light's surface, towards the receiver"""
     instance: int
@@ -237,7 +237,7 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
         return s
     s.pdf = s.distance * s.distance / (cosine * 0.5 * double_area)
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
-    s.error = triangle_error(p0, p1, p2, to_world)
+    s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, to_world)
     return s
 
 

@@ -28,7 +28,7 @@ class ShadingPoint:
     footprint: float
     """Width of the ray cone across the ray [m], for texture filtering"""
     error: float
-    """Bound of the float error of `position`, per coordinate [m]"""
+    """Bound of the float error of `position` along geometric_normal [m]"""
     ray_visibility: int
     """Kind of the ray that arrived: one VISIBLE_* bit"""
     ray_length: float

@@ -227,6 +227,31 @@ def test_scale_and_distance_do_not_matter():
         np.testing.assert_allclose(other.mean(), usual.mean(), rtol=2e-3)
 
 
+@pytest.mark.parametrize("levels", [False, True], ids=["flattened", "instanced"])
+@pytest.mark.parametrize("scale, shift", [(1.0, 0.0), (1e-3, 0.0), (50.0, 20.0), (0.1, 30.0), (1.0, -700.0)])
+def test_rays_do_not_meet_their_own_surface(scale, shift, levels, monkeypatch):
+    """Find radiance 0.5 all over convex objects of albedo 0.5 in a white world; meeting its own start darkens."""
+    monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0 if levels else 1 << 20)
+    angle = 0.7
+    objects = []
+    for i in range(2):
+        matrix = scenes.place(x=shift, y=0.3 * shift, z=-5.0 * scale * i, scale=scale)
+        matrix[:3, :3] = scale * np.array(
+            [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+        objects.append(("ball", matrix, "grey"))
+    settings = dataclasses.replace(
+        scenes.SETTINGS, performance=dataclasses.replace(scenes.SETTINGS.performance, instancing_threshold=1.0))
+    camera = dataclasses.replace(
+        scenes.camera_above(half=0.6 * scale), clip_start=1e-3 * scale, clip_end=1e3 * scale,
+        transform=tuple(scenes.place(x=shift, y=0.3 * shift, z=3.0 * scale).ravel()))
+    image, session = scenes.render(
+        scenes.delta({"ball": scenes.sphere(1.0, 24, smooth=False)}, objects, {"grey": scenes.material(color=0.5)},
+                     background=1.0), camera, (24, 24), 64, settings, passes=("Combined", "Depth"))
+    assert ("two levels" in session.stats.structure) == levels
+    np.testing.assert_allclose(image[..., :3].mean(dtype=np.float64), 0.5, rtol=2e-3)
+    assert image[..., :3].min() > 0.44
+
+
 def test_empty_scene():
     """Render the world where there is nothing else, and alpha 1."""
     image = scenes.render(scenes.delta({}, [], {}, background=0.25), samples=1)
