@@ -116,8 +116,8 @@ class DeviceScene:
                     i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
                 self.structures.leave_flat(np.union1d(moved, edited).astype(np.int64))
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
-            if geometry_changed:
-                self._upload_instances()
+            # Always: _plan_instances has filled the rows anew, without the structures' ids.
+            self._upload_instances()
         tell("Lights", 0.9)
         with self._timed("lights"):
             if delta.lights is not None:

@@ -88,6 +88,29 @@ def test_moving_an_object_matches_a_full_build():
     assert not np.allclose(before, fresh, atol=1e-2)
 
 
+@pytest.mark.parametrize("levels", [False, True], ids=["moved", "instanced"])
+def test_editing_a_material_keeps_instances(levels, monkeypatch):
+    """Keep objects under the upper level in the picture when nothing but a material changes."""
+    monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0 if levels else 1 << 20)
+    settings = dataclasses.replace(
+        scenes.SETTINGS, performance=dataclasses.replace(scenes.SETTINGS.performance, instancing_threshold=1.0))
+    objects = [("ball", scenes.place(x=-0.5), "grey"), ("ball", scenes.place(x=0.5), "grey")]
+    session = Session(settings)
+    session.update(scenes.delta({"ball": scenes.sphere(0.4, 12)}, objects, {"grey": scenes.material(color=0.5)},
+                                background=1.0))
+    session.configure(settings, scenes.camera_above(half=1.0), 16, 16, passes=("Combined", "Depth"))
+    if not levels:
+        objects[1] = ("ball", scenes.place(x=0.5, y=0.1), "grey")
+        session.update(SceneDelta(instances=scenes.instances(objects)))
+    assert "two levels" in session.stats.structure
+    session.step(1)
+    before = session.read("Depth")
+    session.update(SceneDelta(materials={"grey": scenes.material(color=0.2)}))
+    session.step(1)
+    assert (before < 1e9).sum() > 20
+    np.testing.assert_array_equal(session.read("Depth"), before)
+
+
 def test_editing_a_mesh_and_a_material():
     """Take over a changed mesh and a changed material without sending the rest again."""
     session = Session(scenes.SETTINGS)
