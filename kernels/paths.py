@@ -119,15 +119,21 @@ def limit_at(options: Options, bounce: int) -> float:
 
 
 @wp.func
+def make_hit(t: float, ids: wp.vec2i, barycentrics: wp.vec2) -> Hit:
+    """Return a hit from the form in which states keep it: distance, (instance, triangle), weights."""
+    hit = Hit()
+    hit.t = t
+    hit.instance = ids[0]
+    hit.triangle = ids[1]
+    hit.u = barycentrics[0]
+    hit.v = barycentrics[1]
+    return hit
+
+
+@wp.func
 def load_hit(paths: Paths, path: int) -> Hit:
     """Return the hit that a path has found."""
-    hit = Hit()
-    hit.t = paths.t[path]
-    hit.instance = paths.hit[path][0]
-    hit.triangle = paths.hit[path][1]
-    hit.u = paths.barycentrics[path][0]
-    hit.v = paths.barycentrics[path][1]
-    return hit
+    return make_hit(paths.t[path], paths.hit[path], paths.barycentrics[path])
 
 
 @wp.func
@@ -141,13 +147,7 @@ def store_hit(paths: Paths, path: int, hit: Hit):
 @wp.func
 def load_layer(paths: Paths, path: int) -> Hit:
     """Return the first triangle on the way that needs a test."""
-    hit = Hit()
-    hit.t = paths.layer_t[path]
-    hit.instance = paths.layer[path][0]
-    hit.triangle = paths.layer[path][1]
-    hit.u = paths.layer_barycentrics[path][0]
-    hit.v = paths.layer_barycentrics[path][1]
-    return hit
+    return make_hit(paths.layer_t[path], paths.layer[path], paths.layer_barycentrics[path])
 
 
 @wp.func

@@ -6,9 +6,9 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import max_component
-from .intersect import Hit, surface_point
+from .intersect import surface_point
 from .nodes import run, world_point
-from .paths import PENDING_NONE, PENDING_TRIANGLE, Options, Paths, add_light, limit_at
+from .paths import PENDING_NONE, PENDING_TRIANGLE, Options, Paths, add_light, limit_at, make_hit
 from .types import VISIBLE_DIFFUSE, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -36,12 +36,7 @@ def shade_lights(
     point = world_point(direction, VISIBLE_DIFFUSE, bounce + 1, 0.0)
     start = scene.materials.world_start
     if pending == PENDING_TRIANGLE:
-        hit = Hit()
-        hit.t = wp.abs(distance)
-        hit.instance = paths_out.shadow_emitter[path][0]
-        hit.triangle = paths_out.shadow_emitter[path][1]
-        hit.u = paths_out.shadow_barycentrics[path][0]
-        hit.v = paths_out.shadow_barycentrics[path][1]
+        hit = make_hit(wp.abs(distance), paths_out.shadow_emitter[path], paths_out.shadow_barycentrics[path])
         point = surface_point(scene, hit, direction)
         point.footprint = paths_out.cone[path][0]
         point.ray_visibility = VISIBLE_DIFFUSE
