@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -14,8 +15,8 @@ from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore
-from .lamps import lamp_array
-from .light_table import build_lights
+from .lamps import lamp_array, lamp_power
+from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
@@ -24,9 +25,22 @@ from .structures import InstancePlan, Structures
 from .tables import albedo_tables
 from .textures import TextureStore
 
-__all__ = ["DeviceScene"]
+__all__ = ["DeviceScene", "SceneChanges"]
 
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class SceneChanges:
+    """What the last delta meant for the light in the scene."""
+
+    replaced: bool = True
+    """A new scene: nothing known about the one before holds"""
+    moved: bool = True
+    """Objects moved, deformed, came, went or look different"""
+    lit: bool = True
+    """Lamps, the world, materials or what emits have changed"""
+
 
 # Kinds of rays whose visibility a triangle structure must answer.
 RAY_KINDS = int(
@@ -62,11 +76,14 @@ class DeviceScene:
         self.emitters = EmitterTable.empty(device)
         self.environment = no_environment(device)
         self.environment_power = 0.0
+        self.local_power = 0.0
+        """Of all lamps with a place and all emissive triangles [W]"""
         self.environment_built = False
         self.light_struct = build_lights(self.lamps, self.emitters, 0.0, 1.0, device)
         self.scene = types.Scene()
         self.tables = albedo_tables(device)
         self.names: tuple[int, int] = (0, 0)
+        self.changes = SceneChanges()
 
     def apply(self, delta: SceneDelta, settings: PerformanceSettings, progress: Progress | None = None) -> None:
         """Bring the device up to date with a delta.
@@ -118,20 +135,38 @@ class DeviceScene:
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
             # Always: _plan_instances has filled the rows anew, without the structures' ids.
             self._upload_instances()
+        emission_moved = rebuild or self._any_emits(moved, changed_meshes)
         tell("Lights", 0.9)
         with self._timed("lights"):
             if delta.lights is not None:
                 self.lights = delta.lights
             self._assemble()
-            if geometry_changed or materials_changed or delta.images:
+            if emission_moved or materials_changed or delta.images:
                 self.emitters = find_emitters(
                     self.scene, self.plan, self.table, self.store, self.materials, self.device)
                 self._assemble()
             if delta.world is not None or delta.images or not self.environment_built:
                 build_environment(self.scene, self.world, self.device, self._assemble_with)
                 self.environment_built = True
-            self._choose_lights()
+            if emission_moved or materials_changed or delta.images or delta.lights is not None:
+                self._choose_lights()
+        self.changes = SceneChanges(
+            replaced=delta.full, moved=geometry_changed or delta.instances is not None,
+            lit=materials_changed or delta.lights is not None or (emission_moved and len(self.emitters.power) > 0))
         tell("Ready", 1.0)
+
+    def _any_emits(self, moved: np.ndarray, changed_meshes: set[Key]) -> bool:
+        """Return whether any of the instances that moved or whose mesh changed may emit light."""
+        emits = np.array([
+            any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
+            for keys in self.table.material_sets], bool)
+        if not emits.any():
+            return False
+        concerned = np.zeros(len(self.table.mesh_index), bool)
+        concerned[moved] = True
+        edited = [i for i, key in enumerate(self.table.mesh_keys) if key in changed_meshes]
+        concerned |= np.isin(self.table.mesh_index, edited)
+        return bool(emits[self.table.material_set_index[concerned]].any())
 
     def _forget(self) -> None:
         self.store.clear()
@@ -267,14 +302,24 @@ class DeviceScene:
         rows["color"] = table.color
         self.rows = rows
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
-        self.instance_materials = wp.array(np.array(flat or [0], np.int32), dtype=int, device=self.device)
-        self.instances = wp.array(rows, dtype=types.Instance, device=self.device) if count else wp.zeros(
-            1, dtype=types.Instance, device=self.device)
+        self.instance_materials = self._overwrite(
+            self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
+        self._write_instances()
+
+    def _overwrite(self, array: wp.array, values: np.ndarray, dtype: type) -> wp.array:
+        """Put values on the device, into the same array if they fit: recorded frames go on using it."""
+        if len(array) == len(values):
+            array.assign(values)
+            return array
+        return wp.array(values, dtype=dtype, device=self.device)
+
+    def _write_instances(self) -> None:
+        if len(self.rows):
+            self.instances = self._overwrite(self.instances, self.rows, types.Instance)
 
     def _upload_instances(self) -> None:
         self.structures.fill(self.rows, self.plan)
-        if len(self.rows):
-            self.instances = wp.array(self.rows, dtype=types.Instance, device=self.device)
+        self._write_instances()
 
     def _drop_unused_meshes(self) -> None:
         for key in set(self.store.ranges) - set(self.plan.mesh_keys):
@@ -285,6 +330,8 @@ class DeviceScene:
     def _choose_lights(self) -> None:
         """Decide by what chances lights are sampled."""
         self.lamps = lamp_array(self.lights, self.origin, self.report)
+        local = self.lamps[self.lamps["kind"] != SUN]
+        self.local_power = float(lamp_power(local, self.radius).sum() + self.emitters.power.sum())
         sampled_world = self.world is not None and self.world.sampling
         self.light_struct = build_lights(
             self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device)

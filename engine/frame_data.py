@@ -35,6 +35,10 @@ def frame_row(
     matrix[:3, 3] -= origin
     left, right, bottom, top = camera.window
     row["camera_to_world"] = matrix
+    try:
+        row["world_to_camera"] = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError as error:
+        raise InvalidScene("The camera is scaled to nothing; reset its scale.") from error
     row["window"] = camera.window
     orthographic = camera.kind == CameraKind.ORTHOGRAPHIC
     row["orthographic"] = int(orthographic)

@@ -74,6 +74,8 @@ class GeometryStore:
 
     def __init__(self, device: str):
         self.device = device
+        self.remember = False
+        """Whether positions that an edit overwrites are kept in `replaced`, for motion (engine/motion.py)"""
         self.clear()
 
     def clear(self) -> None:
@@ -88,6 +90,9 @@ class GeometryStore:
         self.uvs = _Buffer(wp.vec2, self.device)
         self.attributes = _Buffer(wp.vec4, self.device)
         self.rows = 0
+        self.replaced: dict[Key, tuple[int, int, wp.array | None]] = {}
+        """First vertex, vertices, and their positions before the first of several edits; None where vertices came or
+        went"""
         self._tables: tuple[wp.array, wp.array] | None = None
 
     @property
@@ -112,6 +117,7 @@ class GeometryStore:
         if old is not None and fits:
             starts = (old.vertex_start, old.triangle_start, old.uv_start, old.attribute_start)
             row = old.row
+            self._keep_positions(key, old, len(mesh.positions))
         else:
             self.slots.reserve(len(mesh.triangles))
             self.normals.reserve(3 * len(mesh.triangles))
@@ -132,6 +138,12 @@ class GeometryStore:
                 self.attribute_names.append(name)
         self.ranges[key] = self._range(mesh, row, starts, uv_count, attribute_count)
         return self.ranges[key]
+
+    def _keep_positions(self, key: Key, old: MeshRange, count: int) -> None:
+        if self.remember and key not in self.replaced and old.vertex_count > 0:
+            start, end = old.vertex_start, old.vertex_start + old.vertex_count
+            kept = wp.clone(self.positions.array[start:end]) if count == old.vertex_count else None
+            self.replaced[key] = (start, old.vertex_count, kept)
 
     def _write(self, mesh: MeshData, vertex: int, triangle: int, uv: int, attribute: int) -> None:
         self.positions.write(vertex, mesh.positions)

@@ -12,7 +12,7 @@ from .emitters import EmitterTable
 from .lamps import lamp_bounds, lamp_power
 from .light_tree import build_light_tree
 
-__all__ = ["build_lights"]
+__all__ = ["SUN", "build_lights"]
 
 SUN = 1
 """Light.kind of suns"""

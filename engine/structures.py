@@ -82,6 +82,7 @@ class Structures:
         self.local: dict[tuple, _LocalMesh] = {}
         self.flat: _Flat | None = None
         self.instanced = np.zeros(0, bool)
+        self._built_for: tuple[list[_LocalMesh], np.ndarray] = ([], np.zeros(0, np.int64))
         self.description = "empty"
 
     def _static_builder(self) -> str:
@@ -190,8 +191,8 @@ class Structures:
     def _build_instances(self, plan: InstancePlan, store: GeometryStore, moving: bool = False) -> None:
         """Build the object-space meshes that are missing and the structure over the instances."""
         chosen = np.flatnonzero(self.instanced)
-        self.bvh = None
         if len(chosen) == 0:
+            self.bvh = None
             return
         used = {}
         for i in chosen.tolist():
@@ -204,14 +205,32 @@ class Structures:
             local.first_opaque = first
             local.first_filtered = first + len(local.opaque_faces)
             first = local.first_filtered + len(local.filtered_faces)
+        # Bounds are rounded outwards: float32 of a float64 bound may lie inside it.
+        grow = 4e-7 * np.maximum(np.abs(plan.low[chosen]), np.abs(plan.high[chosen])) + 1e-30
+        bounds = (plan.low[chosen] - grow).astype(np.float32), (plan.high[chosen] + grow).astype(np.float32)
+        if moving and self._refit(used, chosen, bounds):
+            return
         faces = [part for local in used.values() for part in (local.opaque_faces, local.filtered_faces)]
         self.mesh_faces = wp.array(np.concatenate(faces), dtype=int, device=self.device)
         self.bvh_instances = wp.array(chosen.astype(np.int32), dtype=int, device=self.device)
-        # Bounds are rounded outwards: float32 of a float64 bound may lie inside it.
-        grow = 4e-7 * np.maximum(np.abs(plan.low[chosen]), np.abs(plan.high[chosen])) + 1e-30
-        low = wp.array((plan.low[chosen] - grow).astype(np.float32), dtype=wp.vec3, device=self.device)
-        high = wp.array((plan.high[chosen] + grow).astype(np.float32), dtype=wp.vec3, device=self.device)
+        low = wp.array(bounds[0], dtype=wp.vec3, device=self.device)
+        high = wp.array(bounds[1], dtype=wp.vec3, device=self.device)
+        self._built_for = (list(used.values()), chosen)
         self.bvh = wp.Bvh(low, high, constructor="sah" if len(chosen) < 4096 or self.device == "cpu" else "lbvh")
+
+    def _refit(self, used: dict, chosen: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Rebuild the structure over the instances in place if it has the same ones; return whether it had.
+
+        Ids stay as they are, so a recorded frame goes on using it.
+        """
+        meshes, instances = self._built_for
+        same = (self.bvh is not None and len(meshes) == len(used) and np.array_equal(instances, chosen)
+                and all(a is b for a, b in zip(meshes, used.values(), strict=True)))
+        if same:
+            self.bvh.lowers.assign(bounds[0])
+            self.bvh.uppers.assign(bounds[1])
+            self.bvh.rebuild()
+        return same
 
     def leave_flat(self, moved: np.ndarray) -> None:
         """Take instances out of the flattened structure (not yet into the other)."""

@@ -312,6 +312,7 @@ class FrameData:
 
     camera_to_world: wp.mat44
     """Relative to the scene's origin"""
+    world_to_camera: wp.mat44
     window: wp.vec4
     """left, right, bottom, top on the image plane at distance 1 (orthographic: metres)"""
     orthographic: int

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A frame as a recorded list of launches that is replayed: a CUDA graph, or bands of rows on the processor's cores.
+
+Passes add launches once; after that a frame costs no Python for each kernel. Launch sizes and by-value arguments are
+frozen in the record, so what changes from frame to frame lives in device arrays (kernels/view.py). A kernel that
+writes only its own elements is `banded` and takes the index of its first element as its first argument; one with an
+atomic or a scattered write is not, and runs in one launch.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import warp as wp
+
+from .device import block_size, run_bands, thread_count
+
+__all__ = ["FrameGraph"]
+
+BANDS_PER_THREAD = 4
+"""On the processor: enough for pixels of uneven cost to spread over the cores."""
+
+BAND_MINIMUM = 256
+"""Elements below which a further band costs more than it gains."""
+
+
+@dataclass
+class _Step:
+    """One launch, or one clearing of an array."""
+
+    section: str
+    launches: list[wp.Launch] = field(default_factory=list)
+    action: Callable[[], None] | None = None
+    kernel: str = "clear"
+    keep: tuple = ()
+    """Arrays and structs that recorded launches point to"""
+
+    def run(self) -> None:
+        if self.action is not None:
+            self.action()
+        elif len(self.launches) == 1:
+            self.launches[0].launch()
+        else:
+            run_bands([launch.launch for launch in self.launches])
+
+
+class FrameGraph:
+    """The launches of one frame, by section."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.cuda = wp.get_device(device).is_cuda
+        self.times: dict[str, float] = {}
+        """Milliseconds of each section in the last timed replay, in the frame's order"""
+        self.kernel_times: dict[str, float] = {}
+        """The same by kernel"""
+        self.skipped: dict[str, str] = {}
+        """Sections that this frame does not need, with the reason"""
+        self._steps: list[_Step] = []
+        self._section = ""
+        self._graph: wp.Graph | None = None
+
+    @contextmanager
+    def section(self, name: str) -> Iterator[None]:
+        """Give the launches inside a name under which they are timed."""
+        outer, self._section = self._section, name
+        try:
+            yield
+        finally:
+            self._section = outer
+
+    def skip(self, name: str, reason: str) -> None:
+        """Note that a section is left out and why, for the timing panel."""
+        self.skipped[name] = reason
+
+    def launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True) -> None:
+        """Record a launch of `count` threads; a banded kernel's first argument (`first`) is added here."""
+        step = _Step(self._section, kernel=kernel.key, keep=(inputs, outputs))
+        block = block_size(kernel.module.name, self.device)
+        for low, high in self._bands(count if banded else 0) or [(0, count)]:
+            launch = wp.launch(
+                kernel, high - low, [low, *inputs] if banded else inputs, outputs, device=self.device,
+                block_dim=block, record_cmd=True)
+            step.launches.append(launch)
+        self._steps.append(step)
+
+    def _bands(self, count: int) -> list[tuple[int, int]]:
+        if self.cuda or count < 2 * BAND_MINIMUM:
+            return [(0, count)] if count else []
+        number = min(thread_count() * BANDS_PER_THREAD, count // BAND_MINIMUM)
+        edges = [count * i // number for i in range(number + 1)]
+        return list(zip(edges[:-1], edges[1:], strict=True))
+
+    def clear(self, *arrays: wp.array) -> None:
+        """Record setting arrays to zero."""
+        for array in arrays:
+            self._steps.append(_Step(self._section, action=array.zero_))
+
+    def call(self, action: Callable[[], None]) -> None:
+        """Record a host call that only issues device work (a scan): it must be fit for capture."""
+        self._steps.append(_Step(self._section, action=action))
+
+    def replay(self, timed: bool = False) -> None:
+        """Run the frame; `timed` measures every section (and on CUDA waits for each)."""
+        if timed:
+            self._replay_timed()
+            return
+        if not self.cuda:
+            for step in self._steps:
+                step.run()
+            return
+        if self._graph is None:
+            with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+                for step in self._steps:
+                    step.run()
+            self._graph = capture.graph
+        wp.capture_launch(self._graph)
+
+    def _replay_timed(self) -> None:
+        elapsed = []
+        for step in self._steps:
+            start = time.perf_counter()
+            if self.cuda:
+                before = wp.Event(self.device, enable_timing=True)
+                after = wp.Event(self.device, enable_timing=True)
+                wp.record_event(before)
+                step.run()
+                wp.record_event(after)
+                elapsed.append((before, after))
+            else:
+                step.run()
+                elapsed.append((time.perf_counter() - start) * 1e3)
+        if self.cuda:
+            wp.synchronize_device(self.device)
+            elapsed = [wp.get_event_elapsed_time(before, after) for before, after in elapsed]
+        self.times, self.kernel_times = {}, {}
+        for step, milliseconds in zip(self._steps, elapsed, strict=True):
+            self.times[step.section] = self.times.get(step.section, 0.0) + milliseconds
+            self.kernel_times[step.kernel] = self.kernel_times.get(step.kernel, 0.0) + milliseconds

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each pixel shows: primary rays, materials, and where the same surface was in the frame before."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...kernels import gbuffer_debug, gbuffer_layers, gbuffer_materials, gbuffer_rays, reproject
+from ...kernels.gbuffer import GBuffer
+from ...kernels.gbuffer_rays import PrimaryHits
+from ...kernels.motion import Motion
+from ...kernels.reprojection import Reprojection
+from ...kernels.types import Scene
+from ..debug_views import DEBUG_VIEWS
+from ..frame_graph import FrameGraph
+from ..history import History
+
+__all__ = ["GBufferPass"]
+
+GBUFFER_ARRAYS = {
+    "hit": wp.vec2i, "barycentrics": wp.uint32, "depth": wp.float32, "geometric_normal": wp.uint32,
+    "normal": wp.uint32, "diffuse": wp.uint32, "specular": wp.uint32, "f0": wp.uint32, "material": wp.uint32,
+    "translucent": wp.uint32, "emission": wp.vec4h, "motion": wp.vec2,
+}
+
+DEBUG_CHANNELS = {
+    "gbuffer.normal": gbuffer_debug.GBUFFER_NORMAL,
+    "gbuffer.albedo": gbuffer_debug.GBUFFER_ALBEDO,
+    "gbuffer.specular": gbuffer_debug.GBUFFER_SPECULAR,
+    "gbuffer.roughness": gbuffer_debug.GBUFFER_ROUGHNESS,
+    "gbuffer.depth": gbuffer_debug.GBUFFER_DEPTH,
+    "gbuffer.motion": gbuffer_debug.GBUFFER_MOTION,
+    "gbuffer.instance": gbuffer_debug.GBUFFER_INSTANCE,
+    "gbuffer.disocclusion": gbuffer_debug.GBUFFER_DISOCCLUSION,
+}
+
+
+class GBufferPass:
+    """Owns the G-buffers of this and the last frame and the reprojection between them."""
+
+    name = "gbuffer"
+    debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_CHANNELS}
+
+    def __init__(self, device: str):
+        self.device = device
+        self.width = self.height = 0
+
+    def resize(self, width: int, height: int) -> None:
+        """Allocate for a picture of that size [px]."""
+        self.width, self.height = width, height
+        count = width * height
+        self.history: History[GBuffer] = History("gbuffer", lambda: self._fill(GBuffer(), GBUFFER_ARRAYS, count))
+        self.hits = self._fill(
+            PrimaryHits(), {"t": wp.float32, "hit": wp.vec2i, "barycentrics": wp.vec2}, count)
+        self._fit_layers(1)
+        self.reprojection = self._fill(Reprojection(), {"position": wp.vec2, "taps": wp.uint8}, count)
+
+    def _fill(self, buffers: object, arrays: dict[str, type], count: int) -> object:
+        for name, dtype in arrays.items():
+            setattr(buffers, name, wp.zeros(count, dtype=dtype, device=self.device))
+        return buffers
+
+    def _fit_layers(self, count: int) -> None:
+        """Allocate what only scenes with transparent layers need."""
+        self._fill(self.hits, {
+            "layer_t": wp.float32, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "weight": wp.vec3}, count)
+
+    def reset(self) -> None:
+        """Forget the frame before."""
+        self.history.reset()
+
+    def current(self, parity: int) -> GBuffer:
+        """Return the G-buffer that a frame of this parity writes."""
+        return self.history.current(parity)
+
+    def previous(self, parity: int) -> GBuffer:
+        """Return the G-buffer of the frame before one of this parity."""
+        return self.history.previous(parity)
+
+    def record(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, motion: Motion, *, filtered: bool = True,
+    ) -> GBuffer:
+        """Record the G-buffer of a frame and its reprojection.
+
+        Args:
+            graph: What to add to.
+            parity: 0 for even frames, 1 for odd ones.
+            scene: The scene.
+            views: One element.
+            motion: As from MotionTracker.
+            filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
+        """
+        count, width, gbuffer, hits = self.width * self.height, self.width, self.current(parity), self.hits
+        if filtered and len(hits.weight) != count:
+            self._fit_layers(count)
+        with graph.section("Primary rays"):
+            graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
+            if filtered:
+                graph.launch(gbuffer_rays.trace_primary_layers, count, [views, scene, width], [hits])
+                graph.launch(gbuffer_layers.filter_primary, count, [views, scene, width], [hits])
+        with graph.section("Materials"):
+            graph.launch(
+                gbuffer_materials.shade_primary, count, [views, scene, width, int(filtered), hits], [gbuffer])
+            if scene.lights.lamp_count > 0:
+                graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, int(filtered), hits], [gbuffer])
+        with graph.section("Reprojection"):
+            graph.launch(
+                reproject.reproject, count, [views, scene, motion, width, self.height, self.previous(parity)],
+                [gbuffer, self.reprojection])
+        return gbuffer
+
+    def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
+        """Record drawing one of `debug_views` into `picture`, vec4 a pixel."""
+        graph.launch(
+            gbuffer_debug.draw_gbuffer, self.width * self.height,
+            [self.current(parity), self.reprojection, int(DEBUG_CHANNELS[name])], [picture])

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The View of each real-time frame: this camera and the last, jitter, and how long nothing has changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ..kernels.view import View
+
+__all__ = ["ViewTracker"]
+
+# Additive recurrence of the plastic number: two dimensions that stay even however long it runs (Roberts 2018, "R2").
+R2 = np.array([0.7548776662466927, 0.5698402909980532])
+
+LONG_AGO = 1 << 20
+"""Frames since an edit that is no more felt."""
+
+
+class ViewTracker:
+    """Fills the one-element array that all real-time kernels read."""
+
+    def __init__(self, device: str):
+        self.array = wp.zeros(1, dtype=View, device=device)
+        self.row = np.zeros(1, View.numpy_dtype())
+        self.frame = -1
+        self.rest = -1
+        self.light_age = LONG_AGO
+        self._camera: np.ndarray | None = None
+        self._jitter = np.zeros(2, np.float32)
+
+    def restart(self) -> None:
+        """Forget everything: the next frame is the first."""
+        self.frame = self.rest = -1
+        self.light_age = LONG_AGO
+        self._camera = None
+
+    @property
+    def parity(self) -> int:
+        """Return which of the two buffers of each History the current frame writes."""
+        return self.frame & 1
+
+    def advance(
+        self, camera: np.ndarray, *, moved: bool, lit: bool, exposure: float, transparent: bool,
+        filter_quantiles: np.ndarray | None,
+    ) -> None:
+        """Go on to the next frame.
+
+        Args:
+            camera: A FrameData row, see frame_data.py.
+            moved: Whether something but the camera has moved or changed since the frame before.
+            lit: Whether a lamp, the world or a material has been edited since.
+            exposure: Factor on radiance in half-float buffers.
+            transparent: Whether the world leaves alpha 0.
+            filter_quantiles: Inverse distribution of the pixel filter; None for no jitter.
+        """
+        first = self._camera is None
+        still = not first and not moved and not lit and camera.tobytes() == self._camera.tobytes()
+        self.frame += 1
+        self.rest = self.rest + 1 if still else 0
+        # The first frame knows no light of before that would have to be forgotten.
+        self.light_age = 0 if lit and not first else min(self.light_age + 1, LONG_AGO)
+        jitter = np.zeros(2, np.float32)
+        if filter_quantiles is not None:
+            u = (0.5 + R2 * self.frame) % 1.0
+            jitter = np.interp(u, np.linspace(0.0, 1.0, len(filter_quantiles)), filter_quantiles).astype(np.float32)
+        row = self.row
+        row["camera"] = camera
+        row["previous"] = camera if first else self._camera
+        row["jitter"], row["previous_jitter"] = jitter, jitter if first else self._jitter
+        row["frame"], row["rest"], row["light_age"], row["restart"] = self.frame, self.rest, self.light_age, int(first)
+        row["exposure"], row["transparent"] = exposure, int(transparent)
+        self.array.assign(row)
+        self._camera, self._jitter = camera.copy(), jitter

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The directional albedo of a prepared BSDF, lobe by lobe, and the one GGX lobe that stands for all specular ones.
+
+Albedos come from the tables of albedo_tables.py, so they cost look-ups instead of an integral.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .albedo_tables import dielectric_weight, ggx_albedo, glass_albedo, metal_weight
+from .diffuse import oren_nayar_g
+from .fresnel import f0_from_ior, fresnel_dielectric, mix3
+from .gbuffer import GRAZING_MAX, SurfaceMaterial
+from .geometry_math import PI, max_component, mean_component, sqr
+from .lobe_setup import GLASS_REFRACTION, GLASS_THIN, alpha_roughness
+from .types import Bsdf, Tables
+
+# Least share of a lobe's albedo that its reflectance along the normal decides (1 - Schlick's weight); see fit_lobe.
+NORMAL_SHARE_MIN = wp.constant(0.05)
+
+
+@wp.struct
+class BsdfAlbedo:
+    """Shares of light from a white surrounding that go to one view."""
+
+    diffuse: wp.vec3
+    translucent: wp.vec3
+    specular: wp.vec3
+    """All other lobes: metal, dielectric, coat, glass (both sides) and sheen"""
+    reflected: wp.vec3
+    """Part of `specular` that arrives from above the surface"""
+    f0: wp.vec3
+    """Sum of the reflecting lobes' reflectance along their normals, energy compensation for this view included"""
+    f90: float
+    """The same at grazing angles, mean of the channels"""
+    roughness: float
+    """Perceptual, mean of the reflecting lobes weighted by albedo; 1 where there are none"""
+
+
+@wp.func
+def diffuse_factor(bsdf: Bsdf, n_dot_o: float) -> wp.vec3:
+    """Return the albedo of a diffuse lobe of weight 1: 1 for Lambert, see oren_nayar in diffuse.py."""
+    if bsdf.diffuse_b <= 0.0:
+        return wp.vec3(1.0, 1.0, 1.0)
+    average = bsdf.diffuse_a * PI + ((2.0 * PI - 5.6) / 3.0) * bsdf.diffuse_b
+    single = bsdf.diffuse_a * PI + bsdf.diffuse_b * oren_nayar_g(wp.clamp(n_dot_o, 0.0, 1.0))
+    return wp.vec3(single, single, single) + bsdf.diffuse_multiscatter * (PI * (1.0 - average))
+
+
+@wp.func
+def f82_dip(b: wp.vec3, weight: float, roughness: float) -> wp.vec3:
+    """Return what a metal's edge tint takes from the reflectance, at the cosine that Schlick's `weight` belongs to.
+
+    Rough surfaces spread over cosines on both sides of the dip's deepest place; measured by integration.
+    """
+    spread = 1.0 - 0.45 * wp.min(roughness, 0.6)
+    c = 1.0 - wp.pow(wp.clamp(weight, 1.0e-12, 1.0), 0.2)
+    m = 1.0 - c
+    return b * (spread * c * sqr(sqr(m)) * sqr(m))
+
+
+@wp.func
+def add_lobe(
+    result: BsdfAlbedo, albedo: wp.vec3, f0: wp.vec3, f90: wp.vec3, roughness: float,
+) -> BsdfAlbedo:
+    """Return the sums with a reflecting lobe; `roughness` and its weight are divided later."""
+    sums = result
+    share = mean_component(albedo)
+    before = mean_component(sums.reflected)
+    if share > 0.0:
+        sums.roughness = (sums.roughness * before + roughness * share) / (before + share)
+    sums.reflected = sums.reflected + albedo
+    sums.specular = sums.specular + albedo
+    sums.f0 = sums.f0 + f0
+    sums.f90 = sums.f90 + mean_component(f90)
+    return sums
+
+
+@wp.func
+def add_base(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) -> BsdfAlbedo:
+    """Return the sums with metal and dielectric, which share one GGX lobe."""
+    sums = result
+    roughness = alpha_roughness(bsdf.alpha_x, bsdf.alpha_y)
+    energy = ggx_albedo(tables, cos_o, roughness)[0]
+    one = wp.vec3(1.0, 1.0, 1.0)
+    if wp.length_sq(bsdf.metal) > 0.0:
+        reflectance = one
+        f0 = one
+        if bsdf.metal_constant == 0:
+            weight = metal_weight(tables, cos_o, roughness)
+            f0 = bsdf.metal_f0
+            dip = f82_dip(bsdf.metal_b, weight, roughness)
+            reflectance = wp.max(mix3(f0, one, weight) - dip, wp.vec3(0.0, 0.0, 0.0))
+        sums = add_lobe(
+            sums, wp.cw_mul(bsdf.metal, reflectance) * energy, wp.cw_mul(bsdf.metal, f0), bsdf.metal, roughness)
+    if wp.length_sq(bsdf.dielectric) > 0.0:
+        reflectance = mix3(
+            bsdf.dielectric_f0, one, dielectric_weight(tables, cos_o, roughness, bsdf.dielectric_ior))
+        sums = add_lobe(
+            sums, wp.cw_mul(bsdf.dielectric, reflectance) * energy, wp.cw_mul(bsdf.dielectric, bsdf.dielectric_f0),
+            bsdf.dielectric, roughness)
+    return sums
+
+
+@wp.func
+def add_glass_lobe(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) -> BsdfAlbedo:
+    """Return the sums with glass; what passes it counts for `specular` alone."""
+    sums = result
+    roughness = wp.sqrt(bsdf.glass_alpha)
+    one = wp.vec3(1.0, 1.0, 1.0)
+    if bsdf.glass_kind == GLASS_THIN:
+        tint = wp.cw_mul(bsdf.glass, bsdf.glass_reflection_tint)
+        sums = add_lobe(sums, tint * ggx_albedo(tables, cos_o, roughness)[0], tint, tint, roughness)
+        passed = wp.cw_mul(bsdf.glass, bsdf.glass_transmission_tint)
+        sums.specular = sums.specular + passed * ggx_albedo(tables, cos_o, wp.sqrt(bsdf.thin_alpha))[0]
+        return sums
+    energy = glass_albedo(tables, cos_o, roughness, bsdf.glass_ior)[0]
+    # The table of weights is that of entering; from inside the reflectance at the mean facet has to do.
+    reflectance = fresnel_dielectric(cos_o, bsdf.glass_ior)[0] * one
+    if bsdf.glass_ior > 1.0:
+        reflectance = mix3(bsdf.glass_f0, one, dielectric_weight(tables, cos_o, roughness, bsdf.glass_ior))
+    if bsdf.glass_kind == GLASS_REFRACTION:
+        sums.specular = sums.specular + wp.cw_mul(bsdf.glass, one - reflectance) * energy
+        if bsdf.glass_ior > 1.0:
+            # It refracts everything: there is no Fresnel term that could reflect.
+            sums.specular = sums.specular + wp.cw_mul(bsdf.glass, reflectance) * energy
+        return sums
+    tint = wp.cw_mul(bsdf.glass, bsdf.glass_reflection_tint)
+    sums = add_lobe(
+        sums, wp.cw_mul(tint, reflectance) * energy, wp.cw_mul(tint, bsdf.glass_f0), tint, roughness)
+    passed = wp.cw_mul(wp.cw_mul(bsdf.glass, bsdf.glass_transmission_tint), one - reflectance)
+    sums.specular = sums.specular + passed * energy
+    return sums
+
+
+@wp.func
+def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
+    """Return the albedos of a BSDF for the view that it is prepared for.
+
+    The energy compensation that prepare_bsdf has put into the weights is in them. Shadowing by bumped normals is not.
+    """
+    result = BsdfAlbedo()
+    factor = diffuse_factor(bsdf, wp.abs(wp.dot(bsdf.normal, wo)))
+    result.diffuse = wp.cw_mul(bsdf.diffuse, factor)
+    result.translucent = wp.cw_mul(bsdf.translucent, factor)
+    result.specular = wp.vec3(0.0, 0.0, 0.0)
+    result.reflected = wp.vec3(0.0, 0.0, 0.0)
+    result.f0 = wp.vec3(0.0, 0.0, 0.0)
+    result.f90 = 0.0
+    result.roughness = 1.0
+    cos_o = wp.dot(bsdf.specular_normal, wo)
+    if bsdf.pick_specular > 0.0:
+        result = add_base(tables, bsdf, cos_o, result)
+    if bsdf.pick_glass > 0.0:
+        result = add_glass_lobe(tables, bsdf, cos_o, result)
+    if bsdf.pick_coat > 0.0:
+        cos_c = wp.dot(bsdf.coat_normal, wo)
+        roughness = wp.sqrt(bsdf.coat_alpha)
+        f0 = f0_from_ior(bsdf.coat_ior)
+        reflectance = wp.lerp(f0, 1.0, dielectric_weight(tables, cos_c, roughness, bsdf.coat_ior))
+        albedo = bsdf.coat * (ggx_albedo(tables, cos_c, roughness)[0] * reflectance)
+        result = add_lobe(result, albedo, bsdf.coat * f0, bsdf.coat, roughness)
+    if bsdf.pick_sheen > 0.0:
+        # Its lobe integrates to 1. As a rough lobe it reflects about as much along the normal as it does at all.
+        result = add_lobe(result, bsdf.sheen, bsdf.sheen, bsdf.sheen, 1.0)
+    return result
+
+
+@wp.func
+def schlick_share(tables: Tables, cos_o: float, roughness: float) -> float:
+    """Return how far from f0 to f90 a lobe of Schlick's exponent 5 reflects towards this view.
+
+    The table is that of Cycles' exponents and counts shadowed facets: for rough lobes it is up to a fifth too high.
+    """
+    x = wp.clamp((roughness - 0.2) * 2.0, 0.0, 1.0)
+    return metal_weight(tables, cos_o, roughness) / (1.0 + 0.2 * x * x * (3.0 - 2.0 * x))
+
+
+@wp.func
+def fit_lobe(tables: Tables, albedo: BsdfAlbedo, cos_o: float, material: SurfaceMaterial) -> SurfaceMaterial:
+    """Return the material with the `f0` and `f90` whose GGX lobe of `material.roughness` has the albedo `reflected`.
+
+    A lobe's albedo is E (f0 (1 - s) + f90 s) with the tables' E and s. f90 is scaled by what the sums of all lobes
+    miss; as stored it has 8 bits, so the channels' f0 takes up what is left, where it has an influence at all.
+
+    Args:
+        tables: Albedos.
+        albedo: Of the BSDF.
+        cos_o: Of the view with the specular normal.
+        material: With its roughness (widened by filters) set.
+    """
+    result = material
+    energy = ggx_albedo(tables, cos_o, material.roughness)[0]
+    share = schlick_share(tables, cos_o, material.roughness)
+    guess = energy * (mean_component(albedo.f0) * (1.0 - share) + albedo.f90 * share)
+    scale = wp.where(guess > 0.0, mean_component(albedo.reflected) / wp.max(guess, 1.0e-20), 0.0)
+    f90 = wp.clamp(albedo.f90 * wp.min(scale, 16.0), 0.0, 2.0 * GRAZING_MAX)
+    step = wp.where(f90 > GRAZING_MAX or max_component(albedo.f0) > 1.0, 2.0, 1.0) * (GRAZING_MAX / 255.0)
+    f90 = wp.floor(f90 / step + 0.5) * step
+    along = wp.max(energy * (1.0 - share), NORMAL_SHARE_MIN)
+    f0 = (albedo.reflected - wp.vec3(1.0, 1.0, 1.0) * (energy * f90 * share)) / along
+    result.f0 = wp.min(wp.max(f0, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(4.0, 4.0, 4.0))
+    result.f90 = f90
+    return result
