@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hash-grid radiance cache: follows the probes' rays to what they hit and tells the light that comes from there.
+
+GI-1.0 (Boisse et al. 2023), section 4, with all bounces: a share of the hits sends a ray on, whose hit's cell, as of
+the frame before, lights the cell that it came from. Owns the cells and the frame's rays; knows nothing of probes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ...kernels import (
+    cache_cells,
+    cache_debug,
+    cache_lights,
+    cache_materials,
+    cache_programs,
+    cache_rays,
+    cache_shade,
+    layers,
+    shadow_layers,
+    tracing,
+)
+from ...kernels.cache_cells import CacheControl
+from ...kernels.cache_rays import Vertices
+from ...kernels.environment_split import NO_THRESHOLD
+from ...kernels.gbuffer import GBuffer
+from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
+from ...kernels.paths import Paths
+from ...kernels.probe_rays import ProbeRays
+from ...kernels.types import Closure, Scene
+from ..debug_views import DEBUG_VIEWS
+from ..frame_graph import FrameGraph
+from ..history import arrays_of
+from ..settings import CacheKey, CacheSettings
+from ..shadow_rays import launch_queued, make_options, make_queue
+
+__all__ = ["RadianceCachePass", "smallest_cell"]
+
+SMALLEST_CELL = 0.1
+"""Metres: the published minimum, for rooms"""
+
+CELLS_ACROSS = 500.0
+"""Least number of smallest cells along a scene's diagonal"""
+
+RAY_ARRAYS = {
+    "state": int, "origin": wp.vec3, "direction": wp.vec3, "t": float, "hit": wp.vec2i, "barycentrics": wp.vec2,
+    "radiance": wp.vec4, "pdf": float, "shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float,
+    "shadow_light": wp.vec3, "shadow_pending": int, "shadow_emitter": wp.vec2i, "shadow_barycentrics": wp.vec2,
+}
+LAYER_ARRAYS = {
+    "seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2, "overruns": int,
+    "layer_t": float, "layer": wp.vec2i, "layer_barycentrics": wp.vec2,
+}
+"""For scenes with triangles that need a test per hit"""
+UNUSED_ARRAYS = {
+    "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
+    "surface_emission": wp.vec3, "environment": wp.vec3,
+}
+"""Of the path tracer's states"""
+
+VERTEX_ARRAYS = {
+    "position": wp.vec4, "geometric_normal": wp.uint32, "normal": wp.uint32, "reflectance": wp.vec4,
+    "emission": wp.vec4, "cell": int,
+}
+BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3}
+
+CELL_ARRAYS = {
+    "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "touched": (int, 1),
+    "sums": (wp.int64, 6), "counts": (int, 2),
+}
+"""Type and entries a cell"""
+
+DEBUG_CHANNELS = {
+    "cache.cells": cache_debug.CACHE_CELLS,
+    "cache.levels": cache_debug.CACHE_LEVELS,
+    "cache.light": cache_debug.CACHE_LIGHT,
+    "cache.samples": cache_debug.CACHE_SAMPLES,
+}
+
+COUNTERS = {
+    "rays": cache_cells.COUNT_RAYS, "bounce rays": cache_cells.COUNT_BOUNCES,
+    "shadow rays": cache_cells.COUNT_SHADOWS, "cells failed": cache_cells.COUNT_FAILED,
+    "hits": cache_cells.COUNT_HITS, "hits without indirect light": cache_cells.COUNT_UNKNOWN,
+}
+
+
+def smallest_cell(settings: CacheSettings, radius: float) -> float:
+    """Return the smallest cell [m] for a scene whose bounds have half a diagonal of `radius` [m]."""
+    if settings.minimum_cell > 0.0:
+        return settings.minimum_cell
+    return min(SMALLEST_CELL, 2.0 * radius / CELLS_ACROSS)
+
+
+class RadianceCachePass:
+    """Owns the cells; traces and answers the probes' rays."""
+
+    name = "cache"
+    debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_CHANNELS}
+
+    def __init__(self, device: str, settings: CacheSettings):
+        self.device, self.settings = device, settings
+        self.width = self.height = 0
+        self.capacity = 1 << settings.capacity
+        self.grid = self._make_grid()
+        control = CacheControl()
+        control.age = self._zeros(1, int)
+        control.balance = self._zeros(int(cache_cells.LANES) * 9, wp.int64)
+        control.factors = self._zeros(2, wp.vec3)
+        control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
+        self.control = control
+        self.count = self.bounces = -1
+        self._layers = False
+        self._views: wp.array | None = None
+        self._gbuffer: dict[int, GBuffer] = {}
+
+    def _zeros(self, count: int, dtype: type) -> wp.array:
+        return wp.zeros(count, dtype=dtype, device=self.device)
+
+    def _make_grid(self) -> HashGrid:
+        grid, settings = HashGrid(), self.settings
+        for name, (dtype, entries) in CELL_ARRAYS.items():
+            setattr(grid, name, self._zeros(self.capacity * entries, dtype))
+        grid.live = self._zeros(1, int)
+        grid.bucket_mask = self.capacity // int(BUCKET) - 1
+        grid.pixels = settings.cell_pixels
+        grid.minimum = settings.minimum_cell
+        grid.level_blend, grid.scan_all = int(settings.level_blend), int(settings.scan_all)
+        grid.directions = int(settings.key == CacheKey.DIRECTION)
+        return grid
+
+    def resize(self, width: int, height: int) -> None:
+        """Take note of the picture's size [px]; only debug views depend on it."""
+        self.width, self.height = width, height
+
+    def reset(self) -> None:
+        """Forget all cells."""
+        for buffers in (self.grid, self.control):
+            for array in arrays_of(buffers):
+                array.zero_()
+        if self.count >= 0:
+            self.vertices.cell.fill_(int(NO_CELL))
+
+    def _fit(self, count: int, filtered: bool) -> None:
+        """Allocate for so many probe rays."""
+        share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
+        bounces = math.ceil(share * count)
+        if (count, bounces, filtered) == (self.count, self.bounces, self._layers):
+            return
+        self.count, self.bounces, self._layers = count, bounces, filtered
+        total = count + bounces
+        self.paths, self.vertices = Paths(), Vertices()
+        groups = (
+            (self.paths, RAY_ARRAYS, total), (self.paths, LAYER_ARRAYS, total if filtered else 1),
+            (self.paths, UNUSED_ARRAYS, 1), (self.vertices, VERTEX_ARRAYS, total),
+            (self.vertices, BOUNCE_ARRAYS, max(bounces, 1)))
+        for owner, arrays, size in groups:
+            for name, dtype in arrays.items():
+                setattr(owner, name, self._zeros(max(size, 1), dtype))
+        self.vertices.cell.fill_(int(NO_CELL))
+        # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
+        self._weighed = int(bounces > 0 and self.settings.bounces != 2)
+        self.queue = make_queue(total if filtered else 1, self.device)
+
+    def record(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
+        minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
+        gbuffer: GBuffer | None = None,
+    ) -> None:
+        """Record a frame of the cache: answers the rays (`rays.radiance`).
+
+        Args:
+            graph: What to add to.
+            parity: 0 for even frames, 1 for odd ones.
+            scene: The scene.
+            views: One View.
+            rays: Of the probes.
+            count: Slots of rays.
+            minimum_cell: Smallest cell [m], see smallest_cell.
+            threshold: Luminance to which the world's radiance is limited for rays that miss (EnvironmentSplit).
+            filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
+            programs: Whether lights may be programs (DeviceScene.has_light_programs).
+            gbuffer: For debug views alone.
+        """
+        self._fit(count, filtered)
+        self.grid.minimum = minimum_cell
+        self._views, self._gbuffer[parity] = views, gbuffer
+        with graph.section("Cache rays"):
+            self._record_start(graph, views)
+            graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
+            self._record_hits(graph, scene, 0, count)
+        self._record_materials(graph, scene, views, 0, count, threshold)
+        if self.bounces > 0:
+            with graph.section("Cache bounces"):
+                graph.launch(
+                    cache_rays.start_bounces, self.bounces, [views, self.grid, count, self.bounces, int(filtered)],
+                    [self.paths, self.vertices])
+                self._record_hits(graph, scene, count, self.bounces)
+            self._record_materials(graph, scene, views, count, self.bounces, threshold)
+        self._record_lights(graph, scene, views, programs)
+        self._record_cells(graph, views, rays)
+
+    def _record_start(self, graph: FrameGraph, views: wp.array) -> None:
+        graph.clear(self.control.counters, self.control.balance)
+        share = int(cache_cells.PURGE_SHARE)
+        graph.launch(
+            cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
+            [self.grid, self.control], banded=False)
+
+    def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
+        """Record finding the hits of `count` rays from slot `offset` on."""
+        graph.launch(cache_rays.trace_cache_rays, count, [scene, offset], [self.paths])
+        if self._layers:
+            queue = self.queue[offset : offset + count]
+            launch_queued(graph, tracing.trace_layers, [scene], queue, self.paths)
+            launch_queued(graph, layers.filter_paths, [scene], queue, self.paths)
+
+    def _record_materials(
+        self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
+    ) -> None:
+        """Record what the hits of `count` rays from slot `offset` on are made of, and their cells."""
+        with graph.section("Cache materials"):
+            graph.launch(
+                cache_materials.evaluate_cache_materials, count,
+                [views, scene, offset, int(offset > 0), self._weighed, threshold, int(self._layers), self.paths],
+                [self.vertices])
+        with graph.section("Cache cells"):
+            graph.launch(
+                cache_cells.insert_vertices, count, [views, self.paths, offset],
+                [self.grid, self.vertices, self.control], banded=False)
+
+    def _record_lights(self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool) -> None:
+        """Record direct light at all hits."""
+        total = self.count + self.bounces
+        with graph.section("Cache lights"):
+            graph.launch(
+                cache_lights.choose_cache_lights, total, [views, scene, self.vertices, self._weighed],
+                [self.paths])
+        with graph.section("Cache shadow rays"):
+            graph.launch(cache_rays.trace_cache_shadows, total, [scene, int(self._layers)], [self.paths])
+            if self._layers:
+                shadows = [scene, make_options(filtered=True), 1]
+                launch_queued(graph, tracing.trace_shadow_layers, shadows, self.queue, self.paths)
+                launch_queued(graph, shadow_layers.weaken_shadow_rays, shadows, self.queue, self.paths)
+            if programs:
+                graph.launch(cache_programs.finish_cache_lights, total, [scene], [self.paths])
+
+    def _record_cells(self, graph: FrameGraph, views: wp.array, rays: ProbeRays) -> None:
+        """Record taking the light into the cells, and the answer."""
+        grid, control, settings = self.grid, self.control, self.settings
+        with graph.section("Cache cells"):
+            if self.bounces > 0:
+                graph.launch(
+                    cache_shade.gather_bounces, self.bounces,
+                    [views, grid, self.paths, self.count, int(settings.bounces != 2)], [self.vertices])
+            graph.launch(
+                cache_cells.accumulate_light, self.count + self.bounces,
+                [views, self.paths, self.vertices, self.count], [grid, control], banded=False)
+            graph.launch(cache_cells.measure_balance, 1, [], [control], banded=False)
+            graph.launch(
+                cache_cells.update_cells, self.capacity, [views, control, float(settings.sample_cap)], [grid])
+            graph.launch(
+                cache_shade.resolve_rays, self.count,
+                [views, grid, self.paths, self.vertices, int(settings.cone_test)], [rays])
+
+    def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
+        """Record drawing one of `debug_views` into `picture`, vec4 a pixel; record() must have got the G-buffer."""
+        grid = HashGrid()
+        for field in HashGrid.vars:
+            setattr(grid, field, getattr(self.grid, field))
+        grid.level_blend = 0
+        graph.launch(
+            cache_debug.draw_cache, self.width * self.height,
+            [self._views, grid, self._gbuffer[parity], self.width, int(DEBUG_CHANNELS[name])], [picture])
+
+    def stats(self) -> dict[str, int]:
+        """Return the last frame's counts; waits for the device."""
+        counters = self.control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+        counts = {name: int(counters[int(index)]) for name, index in COUNTERS.items()}
+        return counts | {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The life of cells: freeing old ones, making those that rays meet, summing up the frame's samples, new means.
+
+Sums are integers, so that their order doesn't matter and every run gives the same picture. Kernels with atomics are
+one launch each; `update_cells` writes only its own cells.
+
+A light's change and the first frames need care, since indirect light is read from the cache that it is written to: a
+change takes a frame a bounce, and running means stretch that out without end. For REBALANCE_FRAMES all cells'
+indirect light is therefore scaled, channel by channel, so that on the whole it agrees with what is gathered from it
+(coarse-mesh rebalance of neutron transport; Reed 1971): with O the cells' light, S what arrives in them from lights
+by way of one surface and G what the cells' own light adds to that, a * O = S + a * G gives a = S / (O - G).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import IDLE, Vertices, cell_seed
+from .geometry_math import is_finite3
+from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell, insert_key
+from .intersect import MISS
+from .packing import unpack_normal
+from .paths import Paths
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+FIXED_ONE = wp.constant(4294967296.0)
+"""Sums count in units of 1 / 2^32, so 2^31 fits"""
+LIGHT_MAX = wp.constant(1.0e6)
+"""Brightest sample that a cell takes: two thousand of them a frame still fit"""
+
+LANES = wp.constant(64)
+"""Copies of each counter and sum: fewer threads then wait for the same one"""
+
+# CacheControl.counters, one group a lane
+COUNT_RAYS = wp.constant(0)
+COUNT_BOUNCES = wp.constant(1)
+COUNT_SHADOWS = wp.constant(2)
+COUNT_FAILED = wp.constant(3)
+COUNT_HITS = wp.constant(4)
+COUNT_UNKNOWN = wp.constant(5)
+"""Hits of probe rays in cells without indirect light yet"""
+COUNTERS = wp.constant(8)
+
+PURGE_SHARE = wp.constant(8)
+"""Frames in which all cells' ages are looked at once"""
+REBALANCE_FRAMES = wp.constant(24)
+REBALANCE_MAX = wp.constant(4.0)
+SAMPLES_MAX = wp.constant(4096.0)
+
+# Frames after a change for which the mean of indirect light reaches back less far than this many times: what cells
+# know of each other's light is a mean of what they knew before, which converges only if the past is left behind.
+AGE_SHARE = wp.constant(0.25)
+
+
+@wp.struct
+class CacheControl:
+    """What kernels of the cache tell each other from frame to frame."""
+
+    age: wp.array[int]
+    """[1] frames since the start or the last edit of light"""
+    balance: wp.array[wp.int64]
+    """[LANES * 9] O, S and G of the rebalance"""
+    factors: wp.array[wp.vec3]
+    """[2] factor on what cells hold, and on this frame's samples"""
+    counters: wp.array[int]
+    """[LANES * COUNTERS] of this frame"""
+
+
+@wp.func
+def to_fixed(x: float) -> wp.int64:
+    """Return a number in units of the sums."""
+    return wp.int64(wp.float64(wp.clamp(x, 0.0, LIGHT_MAX)) * wp.float64(FIXED_ONE))
+
+
+@wp.func
+def from_fixed(x: wp.int64) -> float:
+    """Return the number of to_fixed."""
+    return float(wp.float64(x) / wp.float64(FIXED_ONE))
+
+
+@wp.func
+def add_sample(sums: wp.array[wp.int64], first: int, light: wp.vec3):
+    """Add three channels to sums; atomic."""
+    wp.atomic_add(sums, first, to_fixed(light[0]))
+    wp.atomic_add(sums, first + 1, to_fixed(light[1]))
+    wp.atomic_add(sums, first + 2, to_fixed(light[2]))
+
+
+@wp.func
+def count_one(control: CacheControl, slot: int, counter: int):
+    """Count for the statistics; atomic."""
+    wp.atomic_add(control.counters, (slot % LANES) * COUNTERS + counter, 1)
+
+
+@wp.kernel
+def purge_cells(
+    # In:
+    views: wp.array[View],
+    capacity: int,
+    lifetime: int,
+    # Out:
+    grid_out: HashGrid,
+    control_out: CacheControl,
+):
+    """Free the cells of this frame's part of the table that no ray has met for `lifetime` frames.
+
+    From half load on the time shrinks, down to two frames at nine tenths: full buckets cost light.
+    """
+    view = views[0]
+    i = wp.tid()
+    if i == 0:
+        control_out.age[0] = wp.min(control_out.age[0] + 1, 1 << 20)
+        if view.restart == 1 or view.light_age == 0:
+            control_out.age[0] = 0
+    slot = i * PURGE_SHARE + view.frame % PURGE_SHARE
+    if slot >= capacity or grid_out.keys[slot] == EMPTY:
+        return
+    load = float(grid_out.live[0]) / float(capacity)
+    limit = float(lifetime) * wp.clamp((0.9 - load) / 0.4, 0.0, 1.0)
+    idle = view.frame - grid_out.touched[slot]
+    # Negative: from before the frames were counted anew.
+    if idle < 0 or float(idle) > wp.max(limit, 2.0):
+        grid_out.keys[slot] = EMPTY
+        grid_out.direct[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        grid_out.indirect[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        wp.atomic_sub(grid_out.live, 0, 1)
+
+
+@wp.kernel
+def insert_vertices(
+    # In:
+    views: wp.array[View],
+    paths: Paths,
+    offset: int,
+    # Out:
+    grid_out: HashGrid,
+    vertices_out: Vertices,
+    control_out: CacheControl,
+):
+    """Find or make the cells of the hits from slot `offset` on. Black surfaces need none."""
+    slot = offset + wp.tid()
+    vertices_out.cell[slot] = NO_CELL
+    if vertices_out.emission[slot][3] == IDLE:
+        return
+    count_one(control_out, slot, COUNT_RAYS)
+    r = vertices_out.reflectance[slot]
+    if paths.hit[slot][0] == MISS or not wp.max(r[0], wp.max(r[1], r[2])) > 0.0:
+        return
+    view = views[0]
+    p = vertices_out.position[slot]
+    cell = insert_cell(
+        grid_out, view, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
+        paths.direction[slot], cell_seed(slot, view.frame))
+    vertices_out.cell[slot] = cell
+    if cell == NO_CELL:
+        count_one(control_out, slot, COUNT_FAILED)
+
+
+@wp.kernel
+def accumulate_light(
+    # In:
+    views: wp.array[View],
+    paths: Paths,
+    vertices: Vertices,
+    count: int,
+    # Out:
+    grid_out: HashGrid,
+    control_out: CacheControl,
+):
+    """Add the samples of direct light at all hits, and those of indirect light at the bounce rays' sources."""
+    slot = wp.tid()
+    light = paths.radiance[slot]
+    if light[3] > 0.0:
+        count_one(control_out, slot, COUNT_SHADOWS)
+    cell = vertices.cell[slot]
+    if cell != NO_CELL:
+        add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
+        wp.atomic_add(grid_out.counts, 2 * cell, 1)
+    if slot < count:
+        if cell != NO_CELL:
+            count_one(control_out, slot, COUNT_HITS)
+            if not grid_out.indirect[cell][3] > 0.0:
+                count_one(control_out, slot, COUNT_UNKNOWN)
+        return
+    source = vertices.source[slot - count]
+    if source == NO_CELL:
+        return
+    count_one(control_out, slot, COUNT_BOUNCES)
+    grid_out.touched[source] = views[0].frame
+    arrived = vertices.arrived[slot - count]
+    carried = vertices.carried[slot - count]
+    add_sample(grid_out.sums, 6 * source + 3, arrived + carried)
+    wp.atomic_add(grid_out.counts, 2 * source + 1, 1)
+    coarse = insert_key(grid_out, vertices.coarse[slot - count])
+    if coarse != NO_CELL:
+        grid_out.touched[coarse] = views[0].frame
+        add_sample(grid_out.sums, 6 * coarse + 3, arrived + carried)
+        wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
+    held = grid_out.indirect[source]
+    if held[3] > 0.0 and control_out.age[0] < REBALANCE_FRAMES:
+        lane = (slot % LANES) * 9
+        add_sample(control_out.balance, lane, wp.vec3(held[0], held[1], held[2]))
+        add_sample(control_out.balance, lane + 3, arrived)
+        add_sample(control_out.balance, lane + 6, carried)
+
+
+@wp.func
+def balance_sum(control: CacheControl, entry: int) -> float:
+    """Return one of the nine sums over all lanes."""
+    total = wp.int64(0)
+    lane = int(0)
+    while lane < LANES:
+        total = total + control.balance[lane * 9 + entry]
+        lane = lane + 1
+    return from_fixed(total)
+
+
+@wp.kernel
+def measure_balance(
+    # Out:
+    control_out: CacheControl,
+):
+    """Find the factors that bring the cells' indirect light into balance (one thread)."""
+    held_factor = wp.vec3(1.0, 1.0, 1.0)
+    sample_factor = wp.vec3(1.0, 1.0, 1.0)
+    age = control_out.age[0]
+    if age < REBALANCE_FRAMES:
+        # Less and less: the factor is noisy, and what it is to mend soon mends itself.
+        strength = 4.0 / (4.0 + float(age))
+        channel = int(0)
+        while channel < 3:
+            held = balance_sum(control_out, channel)
+            arrived = balance_sum(control_out, 3 + channel)
+            carried = balance_sum(control_out, 6 + channel)
+            if held > 0.0:
+                factor = arrived / wp.max(held - carried, arrived / REBALANCE_MAX + 1.0e-20 * held)
+                factor = wp.pow(wp.max(factor, 0.0), strength)
+                held_factor[channel] = factor
+                if arrived + carried > 0.0:
+                    sample_factor[channel] = (arrived + factor * carried) / (arrived + carried)
+            channel = channel + 1
+    control_out.factors[0] = held_factor
+    control_out.factors[1] = sample_factor
+
+
+@wp.func
+def blend(held: wp.vec4, sums: wp.array[wp.int64], first: int, samples: int, cap: float, factor: wp.vec3) -> wp.vec4:
+    """Return a cell's light with this frame's samples, of which it weighs `cap` of its own at most."""
+    n = float(samples)
+    mean = wp.cw_mul(
+        wp.vec3(from_fixed(sums[first]), from_fixed(sums[first + 1]), from_fixed(sums[first + 2])), factor) / n
+    before = wp.min(held[3], cap)
+    share = n / (before + n)
+    light = wp.vec3(held[0], held[1], held[2])
+    light = light + (mean - light) * share
+    if not is_finite3(light):
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return wp.vec4(light[0], light[1], light[2], wp.min(before + n, SAMPLES_MAX))
+
+
+@wp.func
+def scaled(held: wp.vec4, factor: wp.vec3) -> wp.vec4:
+    """Return a cell's light times a factor."""
+    return wp.vec4(held[0] * factor[0], held[1] * factor[1], held[2] * factor[2], held[3])
+
+
+@wp.kernel
+def update_cells(
+    first: int,
+    # In:
+    views: wp.array[View],
+    control: CacheControl,
+    sample_cap: float,
+    # Out:
+    grid_out: HashGrid,
+):
+    """Take this frame's samples into the cells' means, each sample with the same weight."""
+    cell = first + wp.tid()
+    if grid_out.keys[cell] == EMPTY:
+        return
+    rest = float(views[0].rest)
+    age = float(control.age[0])
+    cap = wp.min(wp.max(sample_cap, 4.0 * rest), SAMPLES_MAX)
+    direct = grid_out.direct[cell]
+    if age == 0.0:
+        # What was lit before the edit says nothing of the light now.
+        direct[3] = 0.0
+    samples = grid_out.counts[2 * cell]
+    if samples > 0:
+        direct = blend(direct, grid_out.sums, 6 * cell, samples, cap, wp.vec3(1.0, 1.0, 1.0))
+        grid_out.counts[2 * cell] = 0
+    if samples > 0 or age == 0.0:
+        grid_out.direct[cell] = direct
+    bounced = grid_out.counts[2 * cell + 1]
+    if bounced > 0 or age < float(REBALANCE_FRAMES):
+        indirect = scaled(grid_out.indirect[cell], control.factors[0])
+        if bounced > 0:
+            cap = wp.min(cap, float(bounced) * AGE_SHARE * age)
+            indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, cap, control.factors[1])
+            grid_out.counts[2 * cell + 1] = 0
+        grid_out.indirect[cell] = indirect
+    if samples > 0 or bounced > 0:
+        for i in range(6):
+            grid_out.sums[6 * cell + i] = wp.int64(0)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cache's kernel that chooses a light for every hit: next-event estimation over all lights of the scene."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, DIMENSION_SURFACE, Vertices, slot_seed
+from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
+from .intersect import MISS, surface_point
+from .lights import sample_light
+from .packing import unpack_normal
+from .paths import ENDED, Paths, load_hit
+from .reference import set_shadow_ray
+from .sampling import sample_pair
+from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.kernel
+def choose_cache_lights(
+    first: int,
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    vertices: Vertices,
+    weighed: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Sample one light at every hit and set up its shadow ray, which carries irradiance / pi.
+
+    Translucent surfaces get the light of both sides by their shares, as the cell's light is read for both at once.
+    `weighed` 1: bounce rays bring their share of the emission of triangles, see cache_materials.py.
+    """
+    slot = first + wp.tid()
+    paths_out.shadow_distance[slot] = 0.0
+    paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if paths_out.state[slot] == ENDED or paths_out.hit[slot][0] == MISS or scene.lights.class_count == 0:
+        return
+    reflectance = vertices.reflectance[slot]
+    if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
+        # Black: whatever arrives is lost. The cell is not told anything either.
+        return
+    point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
+    normal = unpack_normal(vertices.normal[slot])
+    seed = slot_seed(slot)
+    index = wp.uint32(views[0].frame)
+    choice = sample_pair(seed, index, DIMENSION_LIGHT)
+    s = sample_light(
+        scene, point.position, choice[0], sample_pair(seed, index, DIMENSION_PLACE),
+        sample_pair(seed, index, DIMENSION_SURFACE))
+    if s.kind < 0 or (s.visibility & VISIBLE_DIFFUSE) == 0:
+        return
+    cosine = wp.dot(normal, s.wi)
+    share = wp.where(cosine > 0.0, 1.0 - reflectance[3], reflectance[3])
+    density = wp.abs(cosine) * share * INV_PI
+    light = s.radiance * (density / s.pdf)
+    if weighed == 1 and s.kind == LIGHT_TRIANGLE:
+        light = light * power_heuristic(s.pdf, density)
+    if is_finite3(light) and max_component(light) > 0.0:
+        set_shadow_ray(scene, point, s, light, paths_out, slot)
+        if paths_out.shadow_distance[slot] != 0.0:
+            # Counted by accumulate_light.
+            paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)

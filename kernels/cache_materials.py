@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cache's kernel that runs material programs: what each hit reflects and emits, and what misses bring."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import DIMENSION_CLOSURE, IDLE, Vertices, slot_seed
+from .environment_split import NO_THRESHOLD, soft_radiance
+from .geometry_math import is_finite3, mean_component, power_heuristic
+from .intersect import MISS, surface_point
+from .lights import emitter_pdf
+from .nodes import run, world_point
+from .packing import pack_normal
+from .paths import ENDED, Paths, load_hit
+from .principled import prepare_bsdf
+from .probe_rays import MISS_DISTANCE
+from .reflectance import bsdf_albedo
+from .sampling import sample_pair
+from .types import VISIBLE_DIFFUSE, Bsdf, Closure, Scene, ShadingPoint
+from .view import View, eye_position, pixel_footprint
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Largest value in a sample: what is brighter came from a division by nearly nothing.
+BRIGHTEST = wp.constant(1.0e9)
+
+
+@wp.func
+def is_sampled_emitter(scene: Scene, instance: int, triangle: int) -> bool:
+    """Return whether a triangle is in the light table: its light arrives by light sampling."""
+    if scene.lights.class_count == 0:
+        return False
+    first = scene.lights.emitter_offset[instance]
+    if first < 0:
+        return False
+    return scene.lights.emitter_index[first + triangle - scene.geometry.instances[instance].triangle_offset] >= 0
+
+
+@wp.func
+def sane(c: wp.vec3) -> wp.vec3:
+    """Return a colour without negative, endless or undefined channels."""
+    if not is_finite3(c):
+        return wp.vec3(0.0, 0.0, 0.0)
+    return wp.vec3(
+        wp.clamp(c[0], 0.0, BRIGHTEST), wp.clamp(c[1], 0.0, BRIGHTEST), wp.clamp(c[2], 0.0, BRIGHTEST))
+
+
+@wp.func
+def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, weighed: bool) -> float:
+    """Return how much of a hit's emission its ray brings: none of what arrives by light sampling.
+
+    `weighed`: the two share it by their densities (Veach 1997), so that neither is noisy close to an emitter.
+    """
+    if not is_sampled_emitter(scene, point.instance, point.triangle):
+        return 1.0
+    if not weighed:
+        return 0.0
+    pdf = emitter_pdf(
+        scene, point.instance, point.triangle, paths.origin[slot], paths.direction[slot], point.ray_length)
+    return power_heuristic(paths.pdf[slot], pdf)
+
+
+@wp.func
+def store_surface(scene: Scene, point: ShadingPoint, bsdf: Bsdf, weight: wp.vec3, share: float, vertices: Vertices,
+                  slot: int):
+    """Store what is known of a hit; `weight` is what layers before it let through, `share` that of its emission."""
+    albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
+    # Refracted light comes from the other side like that of the translucent lobe.
+    behind = sane(albedo.translucent + albedo.specular - albedo.reflected)
+    total = sane(albedo.diffuse + albedo.reflected) + behind
+    through = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
+    reflectance = sane(wp.cw_mul(total, weight))
+    vertices.reflectance[slot] = wp.vec4(reflectance[0], reflectance[1], reflectance[2], through)
+    emission = sane(wp.cw_mul(bsdf.emission, weight) * share)
+    vertices.emission[slot] = wp.vec4(emission[0], emission[1], emission[2], wp.min(point.ray_length, MISS_DISTANCE))
+    p = point.position
+    vertices.position[slot] = wp.vec4(p[0], p[1], p[2], point.error)
+    vertices.geometric_normal[slot] = pack_normal(point.geometric_normal)
+    vertices.normal[slot] = pack_normal(bsdf.normal)
+
+
+@wp.kernel
+def evaluate_cache_materials(
+    first: int,
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    offset: int,
+    bounce: int,
+    weighed: int,
+    threshold: float,
+    filtered: int,
+    paths: Paths,
+    # Out:
+    vertices_out: Vertices,
+):
+    """Run the programs of the materials that the rays from slot `offset` on hit, or of the world.
+
+    `bounce` is 1 for bounce rays: the world reaches cells by light sampling, so those that miss bring nothing, unless
+    the world is not sampled. `weighed` 1: they share the emission of emitters with light sampling.
+    """
+    slot = offset + first + wp.tid()
+    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    vertices_out.reflectance[slot] = zero
+    if paths.state[slot] == ENDED:
+        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, IDLE)
+        return
+    direction = paths.direction[slot]
+    weight = wp.vec3(1.0, 1.0, 1.0)
+    if filtered == 1:
+        weight = paths.throughput[slot]
+    missed = paths.hit[slot][0] == MISS
+    limit = float(threshold)
+    point = world_point(direction, VISIBLE_DIFFUSE, 1, 0.0)
+    start = scene.materials.world_start
+    if missed:
+        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
+        if (scene.environment.visibility & VISIBLE_DIFFUSE) == 0:
+            return
+        if bounce == 1:
+            if scene.lights.environment_class >= 0:
+                return
+            limit = NO_THRESHOLD
+    else:
+        view = views[0]
+        point = surface_point(scene, load_hit(paths, slot), direction)
+        point.footprint = pixel_footprint(view.camera, wp.length(point.position - eye_position(view.camera)))
+        point.ray_visibility = VISIBLE_DIFFUSE
+        point.ray_length = paths.t[slot]
+        point.ray_depth = 1 + bounce
+        start = scene.materials.materials[point.material].surface_start
+    closure = Closure()
+    if missed and scene.environment.constant == 1:
+        closure.emission = scene.environment.radiance
+    else:
+        u = sample_pair(slot_seed(slot), wp.uint32(views[0].frame), DIMENSION_CLOSURE)
+        closure = run(scene, point, start, u[0])
+    if missed:
+        light = sane(wp.cw_mul(soft_radiance(sane(closure.emission), limit, scene.luminance), weight))
+        vertices_out.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
+        return
+    share = emission_weight(scene, point, paths, slot, bounce == 1 and weighed == 1)
+    store_surface(scene, point, prepare_bsdf(scene.tables, closure, point), weight, share, vertices_out, slot)

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cache's thin kernels: probe rays, bounce rays and shadow rays. They know no materials.
+
+One set of arrays holds the frame's rays: first the probes' rays, a slot each, then the bounce rays. `Paths` is that
+of the path tracer, so that its kernels for transparent layers serve here too; `Vertices` is what the cache needs to
+know of each hit.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import INV_PI, to_frame
+from .hash_grid import NO_CELL, HashGrid, coarse_key
+from .intersect import MISS, any_hit, closest_hit, offset_origin
+from .lights import FAR
+from .packing import unpack_normal
+from .paths import ENDED, PENDING_NONE, Paths, store_hit
+from .probe_rays import ProbeRays
+from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_cosine, sample_pair
+from .types import VISIBLE_DIFFUSE, Scene
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Share of the bounce rays that go on from where the last frame's ended: chains of any length form.
+KEPT_SHARE = wp.constant(0.25)
+
+# Dimensions of the cache's random numbers.
+DIMENSION_CLOSURE = wp.constant(0)
+DIMENSION_LIGHT = wp.constant(1)
+DIMENSION_PLACE = wp.constant(2)
+DIMENSION_SURFACE = wp.constant(3)
+DIMENSION_BOUNCE = wp.constant(4)
+STREAM_CELL = wp.constant(wp.uint32(0x43454C4C))
+STREAM_ORIGIN = wp.constant(wp.uint32(0x4F524947))
+STREAM_SHIFT = wp.constant(wp.uint32(0x53484946))
+STREAM_SIDE = wp.constant(wp.uint32(0x53494445))
+
+# Vertices.emission[3] of slots without a ray.
+IDLE = wp.constant(-1.0)
+
+
+@wp.struct
+class Vertices:
+    """Where the frame's rays ended, one slot a ray."""
+
+    position: wp.array[wp.vec4]
+    """[m, scene space]; w = error bound of it along the normal [m]"""
+    geometric_normal: wp.array[wp.uint32]
+    """pack_normal, on the ray's side"""
+    normal: wp.array[wp.uint32]
+    """pack_normal of the shading normal"""
+    reflectance: wp.array[wp.vec4]
+    """All light reflected or let through, per channel; w = share of it that comes from behind the surface"""
+    emission: wp.array[wp.vec4]
+    """Radiance that the ray brings besides what the cache knows; w = distance, IDLE where there is no ray"""
+    cell: wp.array[int]
+    """NO_CELL for misses and full buckets"""
+    source: wp.array[int]
+    """Per bounce ray: the cell that it lights; NO_CELL for none"""
+    coarse: wp.array[wp.int64]
+    """Per bounce ray: key of the coarse cell about its source"""
+    arrived: wp.array[wp.vec3]
+    """Per bounce ray: radiance that it brings to its source from lights by way of one surface"""
+    carried: wp.array[wp.vec3]
+    """Per bounce ray: what the cache's indirect light adds to that"""
+
+
+@wp.func
+def slot_seed(slot: int) -> wp.uint32:
+    """Return the seed of a ray's sequences; the frame is the index in them."""
+    return pixel_seed_of(slot, 0, 0x43414348)
+
+
+@wp.func
+def cell_seed(slot: int, frame: int) -> wp.uint32:
+    """Return the random number with which a ray's hit looks up its cell."""
+    return hash_combine(hash_combine(slot_seed(slot), STREAM_CELL), wp.uint32(frame))
+
+
+@wp.func
+def start_layers(paths: Paths, slot: int, frame: int):
+    """Set what the kernels for transparent layers read."""
+    paths.seed[slot] = slot_seed(slot)
+    paths.index[slot] = wp.uint32(frame)
+    paths.throughput[slot] = wp.vec3(1.0, 1.0, 1.0)
+    paths.kind[slot] = VISIBLE_DIFFUSE
+    paths.cone[slot] = wp.vec2(0.0, 0.0)
+
+
+@wp.kernel
+def load_probe_rays(
+    first: int,
+    # In:
+    views: wp.array[View],
+    rays: ProbeRays,
+    filtered: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Take over the probes' rays."""
+    slot = first + wp.tid()
+    t_max = rays.t_max[slot]
+    paths_out.t[slot] = t_max
+    paths_out.state[slot] = wp.where(t_max > 0.0, 1, ENDED)
+    paths_out.origin[slot] = rays.origin[slot]
+    paths_out.direction[slot] = rays.direction[slot]
+    if filtered == 1:
+        start_layers(paths_out, slot, views[0].frame)
+
+
+@wp.func
+def bounce_origin(grid: HashGrid, vertices: Vertices, bounce: int, bounces: int, count: int, u: float) -> int:
+    """Return the slot of the probe ray from whose hit a bounce ray starts, or -1.
+
+    Of the slots that share this bounce ray the one whose cell knows least of indirect light; its value has no say.
+    """
+    low = int(wp.int64(bounce) * wp.int64(count) / wp.int64(bounces))
+    high = int(wp.int64(bounce + 1) * wp.int64(count) / wp.int64(bounces))
+    chosen = int(-1)
+    least = float(1.0e30)
+    shift = int(u * float(high - low))
+    i = int(0)
+    while i < high - low:
+        slot = low + (i + shift) % (high - low)
+        cell = vertices.cell[slot]
+        if cell != NO_CELL:
+            known = grid.indirect[cell][3]
+            if known < least:
+                least = known
+                chosen = slot
+        i = i + 1
+    return chosen
+
+
+@wp.kernel
+def start_bounces(
+    first: int,
+    # In:
+    views: wp.array[View],
+    grid: HashGrid,
+    count: int,
+    bounces: int,
+    filtered: int,
+    # Out:
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Send a ray on from some of the hits, or from where the same slot's ray ended in the frame before."""
+    bounce = first + wp.tid()
+    slot = count + bounce
+    view = views[0]
+    seed = slot_seed(slot)
+    index = wp.uint32(view.frame)
+    choice = hashed_unit(hash_combine(seed, STREAM_ORIGIN), index)
+    origin = int(-1)
+    if choice < KEPT_SHARE and view.restart == 0 and vertices_out.cell[slot] != NO_CELL:
+        origin = slot
+    if origin < 0:
+        shift = hashed_unit(hash_combine(seed, STREAM_SHIFT), index)
+        origin = bounce_origin(grid, vertices_out, bounce, bounces, count, shift)
+    paths_out.state[slot] = ENDED
+    paths_out.t[slot] = 0.0
+    vertices_out.source[bounce] = NO_CELL
+    if origin < 0:
+        return
+    vertices_out.source[bounce] = vertices_out.cell[origin]
+    p = vertices_out.position[origin]
+    position = wp.vec3(p[0], p[1], p[2])
+    side = unpack_normal(vertices_out.geometric_normal[origin])
+    normal = unpack_normal(vertices_out.normal[origin])
+    vertices_out.coarse[bounce] = coarse_key(
+        grid, view, position, side, paths_out.direction[origin], cell_seed(slot, view.frame))
+    share = 1.0 - vertices_out.reflectance[origin][3]
+    if hashed_unit(hash_combine(seed, STREAM_SIDE), index) >= share:
+        side = -side
+        normal = -normal
+        share = 1.0 - share
+    direction = wp.normalize(to_frame(normal, sample_cosine(sample_pair(seed, index, DIMENSION_BOUNCE))))
+    if not wp.dot(direction, side) > 0.0:
+        # Below the triangle: absorbed, as the path tracer does. The sample counts as black.
+        return
+    paths_out.state[slot] = 1
+    paths_out.origin[slot] = offset_origin(position, side, p[3], direction)
+    paths_out.direction[slot] = direction
+    paths_out.t[slot] = FAR
+    paths_out.pdf[slot] = wp.max(wp.dot(normal, direction), 0.0) * share * INV_PI
+    if filtered == 1:
+        start_layers(paths_out, slot, view.frame)
+
+
+@wp.kernel
+def trace_cache_rays(
+    first: int,
+    # In:
+    scene: Scene,
+    offset: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Find the closest opaque hit of every ray from slot `offset` on."""
+    slot = offset + first + wp.tid()
+    if paths_out.state[slot] == ENDED:
+        paths_out.hit[slot] = wp.vec2i(MISS, 0)
+        return
+    store_hit(paths_out, slot, closest_hit(
+        scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
+
+
+@wp.kernel
+def trace_cache_shadows(
+    first: int,
+    # In:
+    scene: Scene,
+    filtered: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Trace the shadow rays against opaque triangles; keep the light where nothing else has to be asked."""
+    slot = first + wp.tid()
+    distance = paths_out.shadow_distance[slot]
+    if distance == 0.0:
+        return
+    if distance > 0.0:
+        if any_hit(scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance):
+            paths_out.shadow_distance[slot] = 0.0
+            return
+    if filtered == 0 and paths_out.shadow_pending[slot] == PENDING_NONE:
+        light = paths_out.shadow_light[slot]
+        paths_out.radiance[slot] = wp.vec4(light[0], light[1], light[2], paths_out.radiance[slot][3])
+        paths_out.shadow_distance[slot] = 0.0

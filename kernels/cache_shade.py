@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What rays bring from the cache: to the cells that bounce rays start from, and to the probes."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import IDLE, Vertices, cell_seed
+from .geometry_math import is_finite3
+from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light
+from .packing import rgb, unpack_normal
+from .paths import Paths
+from .probe_rays import ProbeRays
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# The loop from cell to cell must lose something, or light grows without end between surfaces of albedo 1.
+FEEDBACK_MAX = wp.constant(0.999)
+
+
+@wp.kernel
+def gather_bounces(
+    first: int,
+    # In:
+    views: wp.array[View],
+    grid: HashGrid,
+    paths: Paths,
+    count: int,
+    all_bounces: int,
+    # Out:
+    vertices_out: Vertices,
+):
+    """Find what each bounce ray brings to its source: the light of the cell that it hit, as of the frame before.
+
+    `all_bounces` 0: the cell's direct light alone.
+    """
+    bounce = first + wp.tid()
+    slot = count + bounce
+    arrived = wp.vec3(0.0, 0.0, 0.0)
+    carried = wp.vec3(0.0, 0.0, 0.0)
+    emission = vertices_out.emission[slot]
+    if emission[3] != IDLE:
+        reflectance = wp.min(rgb(vertices_out.reflectance[slot]), wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX))
+        direct = rgb(paths.radiance[slot])
+        cell = vertices_out.cell[slot]
+        view = views[0]
+        if cell != NO_CELL:
+            known = grid.direct[cell]
+            if known[3] > 0.0 and view.light_age > 0:
+                direct = (rgb(known) * known[3] + direct) / (known[3] + 1.0)
+        if all_bounces == 1 and wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
+            p = vertices_out.position[slot]
+            light = indirect_light(
+                grid, view, cell, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
+                paths.direction[slot], cell_seed(slot, view.frame))
+            carried = wp.cw_mul(reflectance, light)
+        arrived = rgb(emission) + wp.cw_mul(reflectance, direct)
+    if not (is_finite3(arrived) and is_finite3(carried)):
+        arrived = wp.vec3(0.0, 0.0, 0.0)
+        carried = wp.vec3(0.0, 0.0, 0.0)
+    vertices_out.arrived[bounce] = arrived
+    vertices_out.carried[bounce] = carried
+
+
+@wp.func
+def cached_light(
+    grid: HashGrid, view: View, vertices: Vertices, slot: int, direction: wp.vec3, own: wp.vec3, cone_test: int,
+) -> wp.vec3:
+    """Return irradiance / pi at a probe ray's hit, filtered by the cache; `own` is the hit's own direct light.
+
+    Hits nearer than a cell take their own direct light: a cell is too coarse to tell on which side of a contact the
+    light ends, and whether a wall is in between. So do hits for which there is no cell.
+    """
+    p = vertices.position[slot]
+    position = wp.vec3(p[0], p[1], p[2])
+    normal = unpack_normal(vertices.geometric_normal[slot])
+    seed = cell_seed(slot, view.frame)
+    cell = find_lit_cell(grid, view, position, normal, direction, seed)
+    direct = own
+    near = vertices.emission[slot][3] < cell_size(cell_level(grid, view.camera, position, seed))
+    if cell != NO_CELL and not (cone_test == 1 and near):
+        direct = rgb(grid.direct[cell])
+    return direct + indirect_light(grid, view, cell, position, normal, direction, seed)
+
+
+@wp.kernel
+def resolve_rays(
+    first: int,
+    # In:
+    views: wp.array[View],
+    grid: HashGrid,
+    paths: Paths,
+    vertices: Vertices,
+    cone_test: int,
+    # Out:
+    rays_out: ProbeRays,
+):
+    """Answer the probes: the radiance that arrives along each ray, exposed, and the distance of its hit."""
+    slot = first + wp.tid()
+    view = views[0]
+    emission = vertices.emission[slot]
+    if emission[3] == IDLE:
+        rays_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        return
+    radiance = rgb(emission)
+    reflectance = rgb(vertices.reflectance[slot])
+    if wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
+        light = cached_light(
+            grid, view, vertices, slot, rays_out.direction[slot], rgb(paths.radiance[slot]), cone_test)
+        radiance = radiance + wp.cw_mul(reflectance, light)
+    radiance = radiance * view.exposure
+    if not is_finite3(radiance):
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+    rays_out.radiance[slot] = wp.vec4(radiance[0], radiance[1], radiance[2], emission[3])

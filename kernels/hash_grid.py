@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hash grid of the radiance cache: cells by place, size and side of the surface (GI-1.0, section 4.1).
+
+A key holds the cell's place, its level of detail and the face of a cube that the surface's normal points through, so
+that the two sides of a wall and the two walls of a corner never share light (Boisse et al. 2023 key cells by the
+ray's direction instead; `directions` does so for study). A cell keeps light without the surface's colour, as mean
+irradiance / pi of its samples: plain radiance units, not exposed. Buckets of 16 slots are always searched to the
+end: freed slots leave holes anywhere in them.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import orthonormal_tangent
+from .sampling import hash32, hash_combine, to_unit
+from .types import FrameData
+from .view import View, eye_position, pixel_footprint
+
+BUCKET = wp.constant(16)
+"""Slots of a bucket"""
+BASE_SIZE = wp.constant(9.765625e-4)
+"""Size [m] of cells of level 0: a power of two"""
+LEVEL_LIMIT = wp.constant(60)
+NO_CELL = wp.constant(-1)
+EMPTY = wp.constant(wp.int64(0))
+
+# Cells are taken from a little in front of the surface: modelled walls love to lie at round numbers, exactly on the
+# border of two cells, where rounding would deal their samples to both.
+LIFT = wp.constant(0.3)
+
+# Exact diagonals are common too: normals there belong to x before y before z, whichever way they are rounded.
+FACE_BIAS_Y = wp.constant(0.995)
+FACE_BIAS_Z = wp.constant(0.99)
+
+# Levels between a cell and the coarse one that stands in for its indirect light until it has some of its own. Cells
+# that rays seldom meet (behind the camera, far off) would otherwise end the light's way after one bounce.
+COARSE_LEVELS = wp.constant(2)
+
+# Streams of random numbers of a look-up.
+STREAM_LEVEL = wp.constant(wp.uint32(0x4C45564C))
+STREAM_JITTER = wp.constant(wp.uint32(0x4A495454))
+
+
+@wp.struct
+class HashGrid:
+    """Table of cells. All arrays have one entry a slot, unless stated otherwise."""
+
+    keys: wp.array[wp.int64]
+    """EMPTY: free"""
+    direct: wp.array[wp.vec4]
+    """Mean irradiance / pi from lights; w = samples in it"""
+    indirect: wp.array[wp.vec4]
+    """The same from surfaces"""
+    touched: wp.array[int]
+    """Frame in which a ray last met the cell"""
+    sums: wp.array[wp.int64]
+    """This frame's samples, 6 a slot (direct, indirect), in units of 1 / FIXED_ONE"""
+    counts: wp.array[int]
+    """This frame's samples, 2 a slot"""
+    live: wp.array[int]
+    """[1] cells in use"""
+    bucket_mask: int
+    """Number of buckets (a power of two) - 1"""
+    pixels: float
+    """Size of a cell on the screen [px]"""
+    minimum: float
+    """Smallest cell [m]"""
+    level_blend: int
+    """1: choose between adjacent levels by chance, so that the mean size grows evenly with distance"""
+    scan_all: int
+    """0: searches end at the first hole, as published"""
+    directions: int
+    """1: key by the ray's direction instead of the normal's face, as published"""
+
+
+@wp.func
+def normal_face(normal: wp.vec3) -> int:
+    """Return the face of a cube that a normal points through: 2 * axis + (1 where it is negative)."""
+    x = wp.abs(normal[0])
+    y = wp.abs(normal[1]) * FACE_BIAS_Y
+    z = wp.abs(normal[2]) * FACE_BIAS_Z
+    axis = int(0)
+    if y > x and y >= z:
+        axis = 1
+    elif z > x and z > y:
+        axis = 2
+    return 2 * axis + wp.where(normal[axis] < 0.0, 1, 0)
+
+
+@wp.func
+def wanted_size(grid: HashGrid, frame: FrameData, position: wp.vec3) -> float:
+    """Return the size [m] that cells should have at a point: `pixels` on the screen, at least `minimum`."""
+    distance = wp.length(position - eye_position(frame))
+    return wp.max(wp.max(grid.pixels * pixel_footprint(frame, distance), grid.minimum), 1.0e-15)
+
+
+@wp.func
+def cell_level(grid: HashGrid, frame: FrameData, position: wp.vec3, seed: wp.uint32) -> int:
+    """Return the level of detail of a point's cell for one look-up.
+
+    The logarithm of the size is rounded up with the probability of its fraction, so levels change over gradually.
+    """
+    u = float(0.0)
+    if grid.level_blend == 1:
+        u = to_unit(hash_combine(seed, STREAM_LEVEL))
+    level = int(wp.floor(wp.log2(wanted_size(grid, frame, position) / BASE_SIZE) + u))
+    return wp.clamp(level, -LEVEL_LIMIT, LEVEL_LIMIT)
+
+
+@wp.func
+def cell_size(level: int) -> float:
+    """Return the size [m] of cells of a level."""
+    return BASE_SIZE * wp.pow(2.0, float(level))
+
+
+@wp.func
+def cell_index(x: float, size: float) -> int:
+    """Return a cell's index along an axis."""
+    return int(wp.floor(wp.clamp(x / size, -2.0e9, 2.0e9)))
+
+
+@wp.func
+def wrapped(index: int, bits: int) -> wp.uint64:
+    """Return the lowest bits of an index; cells so far apart never are in use together."""
+    return wp.uint64(wp.uint32(index) & ((wp.uint32(1) << wp.uint32(bits)) - wp.uint32(1)))
+
+
+@wp.func
+def direction_bits(direction: wp.vec3) -> int:
+    """Return the published 5 x 5 x 5 quantisation of a direction (method of Boisse et al., section 4)."""
+    x = int(wp.floor(2.5 + 2.0 * direction[0]))
+    y = int(wp.floor(2.5 + 2.0 * direction[1]))
+    z = int(wp.floor(2.5 + 2.0 * direction[2]))
+    return wp.clamp(x, 0, 4) + 5 * wp.clamp(y, 0, 4) + 25 * wp.clamp(z, 0, 4)
+
+
+@wp.func
+def cell_key(grid: HashGrid, level: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> wp.int64:
+    """Return the key of a point's cell; never EMPTY.
+
+    Args:
+        grid: The grid.
+        level: Of detail.
+        position: On the surface [m].
+        normal: Geometric, on the side that is seen.
+        direction: Of the ray that arrives; used by the published key alone.
+    """
+    size = cell_size(level)
+    detail = wp.uint64(level + 64)
+    if grid.directions == 1:
+        key = wrapped(cell_index(position[0], size), 16)
+        key = (key << wp.uint64(16)) | wrapped(cell_index(position[1], size), 16)
+        key = (key << wp.uint64(16)) | wrapped(cell_index(position[2], size), 16)
+        key = (key << wp.uint64(7)) | detail
+        key = (key << wp.uint64(7)) | wp.uint64(direction_bits(direction))
+        return wp.int64(key | (wp.uint64(1) << wp.uint64(62)))
+    face = normal_face(normal)
+    lift = wp.where(face % 2 == 1, -LIFT, LIFT) * size
+    p = position
+    p[face // 2] = p[face // 2] + lift
+    cell = wrapped(cell_index(p[0], size), 17)
+    cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[1], size), 17)
+    cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[2], size), 17)
+    cell = (cell << wp.uint64(8)) | detail
+    cell = (cell << wp.uint64(3)) | wp.uint64(face)
+    return wp.int64(cell | (wp.uint64(1) << wp.uint64(62)))
+
+
+@wp.func
+def first_slot(grid: HashGrid, key: wp.int64) -> int:
+    """Return the first slot of a key's bucket."""
+    bits = wp.uint64(key)
+    low = wp.uint32(bits & wp.uint64(0x7FFFFFFF))
+    high = wp.uint32(bits >> wp.uint64(31))
+    return int(hash_combine(hash32(low), high) & wp.uint32(grid.bucket_mask)) * BUCKET
+
+
+@wp.func
+def find_key(grid: HashGrid, key: wp.int64) -> int:
+    """Return the slot of a key, or NO_CELL."""
+    first = first_slot(grid, key)
+    i = int(0)
+    while i < BUCKET:
+        found = grid.keys[first + i]
+        if found == key:
+            return first + i
+        if found == EMPTY and grid.scan_all == 0:
+            return NO_CELL
+        i = i + 1
+    return NO_CELL
+
+
+@wp.func
+def insert_key(grid: HashGrid, key: wp.int64) -> int:
+    """Return the slot of a key, which is taken if need be; NO_CELL where the bucket is full. Atomic: no bands.
+
+    All threads take holes from the front, and none is made meanwhile, so no key can end up in two of them.
+    """
+    if grid.scan_all == 1:
+        present = find_key(grid, key)
+        if present != NO_CELL:
+            return present
+    first = first_slot(grid, key)
+    i = int(0)
+    while i < BUCKET:
+        found = grid.keys[first + i]
+        if found == EMPTY:
+            found = wp.atomic_cas(grid.keys, first + i, EMPTY, key)
+            if found == EMPTY:
+                wp.atomic_add(grid.live, 0, 1)
+                return first + i
+        if found == key:
+            return first + i
+        i = i + 1
+    return NO_CELL
+
+
+@wp.func
+def jittered(position: wp.vec3, normal: wp.vec3, size: float, seed: wp.uint32) -> wp.vec3:
+    """Move a point by up to half a cell in its tangent plane, triangularly (Binder et al. 2019)."""
+    a = hash_combine(seed, STREAM_JITTER)
+    b = hash32(a)
+    c = hash32(b)
+    x = to_unit(a) + to_unit(b) - 1.0
+    y = to_unit(c) + to_unit(hash32(c)) - 1.0
+    t = orthonormal_tangent(normal)
+    return position + (t * x + wp.cross(normal, t) * y) * (0.5 * size)
+
+
+@wp.func
+def find_cell(
+    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> int:
+    """Return the cell of a point (see cell_key), or NO_CELL; `seed` is the look-up's random number."""
+    return find_key(grid, cell_key(grid, cell_level(grid, view.camera, position, seed), position, normal, direction))
+
+
+@wp.func
+def insert_cell(
+    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> int:
+    """Return the cell of a point, made if need be; NO_CELL where its bucket is full. Atomic: no bands."""
+    cell = insert_key(grid, cell_key(grid, cell_level(grid, view.camera, position, seed), position, normal, direction))
+    if cell != NO_CELL:
+        # Cells of one launch all write the same frame.
+        grid.touched[cell] = view.frame
+    return cell
+
+
+@wp.func
+def find_lit_cell(
+    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> int:
+    """Return a cell with samples at about a point: the one half a cell aside, else its own, else of the next levels.
+
+    Jitter in the surface's plane hides the borders of cells; NO_CELL where no cell knows anything.
+    """
+    level = cell_level(grid, view.camera, position, seed)
+    aside = jittered(position, normal, cell_size(level), seed)
+    cell = find_key(grid, cell_key(grid, level, aside, normal, direction))
+    step = int(0)
+    while step < 3:
+        if cell != NO_CELL:
+            if grid.direct[cell][3] > 0.0:
+                return cell
+        other = level
+        if step == 1:
+            other = level + 1
+        if step == 2:
+            other = level - 1
+        cell = find_key(grid, cell_key(grid, other, position, normal, direction))
+        step = step + 1
+    if cell != NO_CELL:
+        if not grid.direct[cell][3] > 0.0:
+            cell = NO_CELL
+    return cell
+
+
+@wp.func
+def coarse_key(
+    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> wp.int64:
+    """Return the key of the coarse cell about a point; such cells hold indirect light alone."""
+    level = cell_level(grid, view.camera, position, seed) + COARSE_LEVELS
+    return cell_key(grid, level, position, normal, direction)
+
+
+@wp.func
+def indirect_light(
+    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> wp.vec3:
+    """Return the indirect light of a point's cell (irradiance / pi), of the coarse one where it has none yet."""
+    light = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if cell != NO_CELL:
+        light = grid.indirect[cell]
+    if not light[3] > 0.0:
+        coarse = find_key(grid, coarse_key(grid, view, position, normal, direction, seed))
+        if coarse != NO_CELL:
+            light = grid.indirect[coarse]
+    return wp.vec3(light[0], light[1], light[2])
+
+
+@wp.func
+def read_cell(grid: HashGrid, cell: int) -> wp.vec4:
+    """Return a cell's light as irradiance / pi [W/m2/sr]; w = samples of its direct light."""
+    d = grid.direct[cell]
+    i = grid.indirect[cell]
+    return wp.vec4(d[0] + i[0], d[1] + i[1], d[2] + i[2], d[3])
+
+
+@wp.func
+def read_light(
+    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> wp.vec4:
+    """Return the light that the cache knows at a point: irradiance / pi, plain radiance units; w = samples, or 0.
+
+    Args:
+        grid: The cache.
+        view: The frame.
+        position: On the surface [m].
+        normal: Geometric, on the side that is seen.
+        direction: Of the ray that arrived.
+        seed: Random for each look-up.
+    """
+    cell = find_lit_cell(grid, view, position, normal, direction, seed)
+    if cell == NO_CELL:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    d = grid.direct[cell]
+    i = indirect_light(grid, view, cell, position, normal, direction, seed)
+    return wp.vec4(d[0] + i[0], d[1] + i[1], d[2] + i[2], d[3])
