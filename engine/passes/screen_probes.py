@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screen probes: diffuse light from all around, gathered at points of the picture (GI-1.0, section 3).
+
+A frame in two halves. `record_rays` finds the pool's probes on the screen, chooses where probes are updated and makes
+their rays; the radiance cache answers these; `record_light` puts the answers into the probes and interpolates the light
+of each pixel. See kernels/probe_*.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ...kernels import probe_blend, probe_debug, probe_gather, probe_light, probe_map, probe_place, probe_sample
+from ...kernels import probe_spawn as spawn
+from ...kernels.gbuffer import GBuffer
+from ...kernels.probe_rays import ProbeRays
+from ...kernels.probe_types import BANDS, CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
+from ...kernels.reprojection import Reprojection
+from ...kernels.types import Scene
+from ..debug_views import DEBUG_VIEWS
+from ..device import launch
+from ..frame_graph import FrameGraph
+from ..settings import ProbeSettings
+
+__all__ = ["ScreenProbePass"]
+
+LEAST_SLOTS = 4096
+"""Probes kept even for tiny pictures"""
+
+SLOTS_PER_TILE = 2
+"""One probe stands for the tile now, one is remembered from before"""
+
+CELL_STEPS = 64
+"""Steps a side with which the cells' integrals are tabulated"""
+
+POOL = {"position": (wp.vec3, 1), "center": (wp.vec3, 1), "normal": (wp.uint32, 1),
+        "radiance": (wp.vec4h, CELLS), "irradiance": (wp.vec4h, BANDS), "residual": (wp.vec4, BANDS),
+        "count": (float, 1), "noise": (float, 1), "used": (int, 1), "updated": (int, 1), "born": (int, 1),
+        "updates": (int, 1), "tile": (int, 1)}
+TILES = {"seed": (int, 1), "claim": (wp.int64, 1), "claim_other": (wp.int64, 1), "probe": (int, 1), "other": (int, 1),
+         "empty": (int, 1), "rank": (int, 1), "empty_list": (int, 1)}
+UPDATES = {"own": (int, 1), "free": (int, 1), "rank": (int, 1), "tile": (int, 1), "pixel": (int, 1), "slot": (int, 1),
+           "fresh": (int, 1), "position": (wp.vec3, 1), "error": (float, 1), "normal": (wp.uint32, 1),
+           "specular": (int, 1), "count": (float, 1), "change": (float, 1), "covered": (int, 1),
+           "previous": (wp.vec4h, CELLS), "guide": (float, CELLS), "expected": (float, CELLS),
+           "cell": (wp.uint8, CELLS), "filtered": (wp.vec4h, CELLS)}
+RAYS = {"origin": (wp.vec3, CELLS), "direction": (wp.vec3, CELLS), "t_max": (float, CELLS), "probe": (int, CELLS),
+        "radiance": (wp.vec4, CELLS)}
+"""Fields of the buffers, their types, and how many entries each element has"""
+
+
+class ScreenProbePass:
+    """Owns the pool of probes and everything about this frame's updates."""
+
+    name = "screen probes"
+
+    debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_VIEWS if name.startswith("probes.")}
+
+    def __init__(self, device: str, settings: ProbeSettings | None = None):
+        self.device = device
+        self.settings = settings or ProbeSettings()
+        self.width = self.height = 0
+
+    def configure(self, settings: ProbeSettings) -> None:
+        """Take other settings; the pass must be resized (and recorded again) after that."""
+        self.settings = settings
+
+    def resize(self, width: int, height: int) -> None:
+        """Allocate all buffers for a picture of this size [px]; forgets all probes."""
+        self.width, self.height = width, height
+        grid = ProbeGrid()
+        grid.width, grid.height = width, height
+        # Spawn tiles are made of whole tiles.
+        grid.side = max(1, round(self.settings.spawn_tile / TILE))
+        grid.tile_columns, grid.tile_rows = -(-width // TILE), -(-height // TILE)
+        grid.update_columns, grid.update_rows = -(-grid.tile_columns // grid.side), -(-grid.tile_rows // grid.side)
+        self.tile_count = grid.tile_columns * grid.tile_rows
+        self.update_count = grid.update_columns * grid.update_rows
+        # Whole windows of slots, see probe_place.free_slot.
+        windows = -(-max(SLOTS_PER_TILE * self.tile_count, LEAST_SLOTS) // self.update_count)
+        grid.slots = windows * self.update_count
+        grid.persistent, grid.guided = int(self.settings.persistence), int(self.settings.guiding)
+        grid.filtered, grid.specular = int(self.settings.filtering), int(self.settings.specular_rays)
+        grid.exact, grid.history = int(self.settings.energy_exact), float(self.settings.history)
+        self.grid = grid
+        self.pool = self._allocate(ProbePool, POOL, grid.slots)
+        self.tiles = self._allocate(ProbeTiles, TILES, self.tile_count)
+        self.updates = self._allocate(ProbeUpdates, UPDATES, self.update_count)
+        self.rays = self._allocate(ProbeRays, RAYS, self.update_count)
+        self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
+        self.weights = wp.zeros(CELLS * BANDS, dtype=float, device=self.device)
+        self.cosines = wp.zeros(CELLS, dtype=float, device=self.device)
+        launch(probe_map.integrate_cells, CELLS, [CELL_STEPS, grid.exact], [self.weights, self.cosines], self.device)
+
+    def _allocate(self, struct: type, fields: dict[str, tuple[type, int]], count: int) -> object:
+        buffers = struct()
+        for name, (dtype, each) in fields.items():
+            setattr(buffers, name, wp.zeros(count * each, dtype=dtype, device=self.device))
+        return buffers
+
+    def reset(self) -> None:
+        """Forget all probes."""
+        self.pool.used.zero_()
+        self.pool.updates.zero_()
+
+    def record_rays(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+    ) -> tuple[ProbeRays, int]:
+        """Record choosing the probes of a frame and making their rays; returns the rays and how many slots they have.
+
+        Nothing here depends on `parity`: probes are updated in place.
+        """
+        grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
+        # The weights are numbers, frozen in the record like all settings.
+        grid.luminance = scene.luminance
+        self.views = views
+        with graph.section("probe placement"):
+            graph.launch(spawn.seed_tiles, self.tile_count, [grid, views, gbuffer], [tiles])
+            graph.launch(spawn.claim_tiles, grid.slots, [grid, views, gbuffer], [pool, tiles], banded=False)
+            graph.launch(spawn.claim_other_surfaces, grid.slots, [grid, views, pool], [tiles], banded=False)
+            graph.launch(spawn.mark_used, grid.slots, [views, tiles], [pool])
+            graph.launch(spawn.choose_tiles, self.update_count, [grid, views, tiles], [updates])
+            graph.launch(spawn.mark_empty, self.tile_count, [grid, updates], [tiles])
+            graph.call(lambda: wp.utils.array_scan(updates.free, updates.rank, inclusive=True))
+            graph.call(lambda: wp.utils.array_scan(tiles.empty, tiles.rank, inclusive=True))
+            graph.launch(spawn.list_empty, self.tile_count, [], [tiles], banded=False)
+            graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
+                         [updates])
+        count = self.update_count * CELLS
+        with graph.section("probe rays"):
+            graph.launch(probe_gather.gather_history, count, [grid, views, tiles, pool, self.cosines], [updates])
+            graph.launch(probe_gather.count_history, self.update_count, [grid, views, tiles, pool], [updates])
+            graph.launch(probe_place.commit_updates, self.update_count, [views, updates], [pool, tiles], banded=False)
+            graph.launch(probe_sample.make_rays, count, [grid, views, gbuffer, pool], [updates, self.rays])
+        return self.rays, count
+
+    def record_light(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+        previous_color: wp.array, reprojection: Reprojection,
+    ) -> wp.array:
+        """Record putting the rays' answers into the probes; returns the diffuse light of each pixel.
+
+        vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 (probe_light.py).
+        """
+        grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
+        with graph.section("probe blend"):
+            graph.launch(probe_blend.detect_changes, self.update_count, [grid, self.rays], [updates, pool])
+            graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
+            graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, views, tiles, pool], [updates])
+            graph.launch(probe_light.project_bands, self.update_count * BANDS,
+                         [grid, updates, self.rays, self.weights], [pool])
+        with graph.section("probe interpolation"):
+            graph.launch(probe_light.interpolate_probes, self.width * self.height,
+                         [grid, views, gbuffer, tiles, pool], [self.irradiance])
+        return self.irradiance
+
+    def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
+        """Record showing one of `debug_views` as linear colours, one vec4 per pixel."""
+        count, views = self.width * self.height, self.views
+        maps = {"probes.radiance": probe_debug.SHOW_RADIANCE, "probes.tiles": probe_debug.SHOW_TILES,
+                "probes.age": probe_debug.SHOW_AGE, "probes.count": probe_debug.SHOW_COUNT}
+        with graph.section("debug view"):
+            if name in maps:
+                graph.launch(probe_debug.show_probes, count, [int(maps[name]), self.grid, views, self.tiles, self.pool],
+                             [picture])
+            else:
+                graph.launch(probe_debug.show_exposed, count, [views, self.irradiance], [picture])
+
+    def stats(self) -> dict[str, int]:
+        """Return counts of the last frame (waits for the device): probes in the pool and on screen, updates by kind."""
+        used = self.pool.used.numpy()
+        slot, tile, own = (getattr(self.updates, name).numpy() for name in ("slot", "tile", "own"))
+        fresh = self.updates.fresh.numpy()
+        active = slot >= 0
+        return {
+            "live": int((used > 0).sum()),
+            "on screen": int((used == used.max()).sum()) if used.max() > 0 else 0,
+            "updated": int(active.sum()),
+            "spawned": int((active & (fresh == 1)).sum()),
+            "patched": int((active & (tile != own)).sum()),
+            "idle": int((~active).sum()),
+            "rays": int(np.count_nonzero(self.rays.t_max.numpy() > 0.0)),
+        }

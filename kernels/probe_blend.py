@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screen probes: the rays' answers put into the probes' maps (GI-1.0, section 3.7).
+
+Each cell steps from its history towards the mean of this update's rays by (rays / expected rays) / (updates + 1). The
+step is linear in what the rays bring and its weight has a known mean, so neither guiding nor cells without a ray change
+the result's mean. A probe whose light has changed by more than its noise explains forgets, whether it got darker or
+lighter; the published hysteresis slows down lightening only, and fills cells without rays by a guess.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import is_finite3, luminance
+from .packing import HALF_MAX, from_half, rgb, rgba
+from .probe_rays import MISS_DISTANCE, ProbeRays
+from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
+from .sampling import hash32, hash_combine
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Standard deviations from which on, and over which, a departure from the history counts as a change.
+CHANGE_START = wp.constant(3.0)
+CHANGE_RANGE = wp.constant(2.0)
+
+# Relative change below which nothing is forgotten.
+CHANGE_LEAST = wp.constant(0.1)
+
+# Bounds the change of light from black.
+CHANGE_MOST = wp.constant(64.0)
+
+# The bits of a float that a half keeps; typed, because Warp writes literals above 2^31 as signed numbers.
+HALF_BITS = wp.constant(wp.uint32(0xFFFFE000))
+
+
+@wp.func
+def counted_radiance(rays: ProbeRays, ray: int) -> wp.vec3:
+    """Return what a ray brought, never negative; NaN and infinity as 0."""
+    value = rgb(rays.radiance[ray])
+    if not is_finite3(value):
+        return wp.vec3(0.0, 0.0, 0.0)
+    return wp.vec3(
+        wp.clamp(value[0], 0.0, HALF_MAX), wp.clamp(value[1], 0.0, HALF_MAX), wp.clamp(value[2], 0.0, HALF_MAX))
+
+
+@wp.func
+def ray_distance(rays: ProbeRays, ray: int) -> float:
+    """Return how far a ray went [m], positive and fit for half-floats."""
+    t = rays.radiance[ray][3]
+    if not wp.isfinite(t):
+        return MISS_DISTANCE
+    # The least positive number keeps the distance of a known cell apart from that of an unknown one.
+    return wp.clamp(t, 1.0e-4, MISS_DISTANCE)
+
+
+@wp.func
+def dithered_half(x: float, bits: wp.uint32) -> wp.float16:
+    """Round to one of the two neighbouring half-floats at random, so that small steps add up.
+
+    A long mean in half-floats stops where steps fall below half of its last bit; this rounding has no bias.
+    """
+    # Below the normal halves' range they are spaced evenly; half a step is 3e-8.
+    if x < 6.2e-5:
+        return wp.float16(x)
+    # A half has 13 bits less of mantissa; the sum may carry into the exponent, rightly so.
+    packed = wp.cast(x, wp.uint32) + (bits & wp.uint32(8191))
+    return wp.float16(wp.min(wp.cast(packed & HALF_BITS, float), HALF_MAX))
+
+
+@wp.func
+def store(value: wp.vec3, distance: float, seed: wp.uint32) -> wp.vec4h:
+    """Pack a cell."""
+    a = hash32(seed)
+    b = hash32(a)
+    return wp.vec4h(
+        dithered_half(value[0], a), dithered_half(value[1], a >> wp.uint32(16)), dithered_half(value[2], b),
+        wp.float16(wp.min(distance, MISS_DISTANCE)))
+
+
+@wp.kernel
+def detect_changes(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    rays: ProbeRays,
+    # Out:
+    updates_out: ProbeUpdates,
+    pool_out: ProbePool,
+):
+    """Shorten the history of probes whose light has changed.
+
+    Every ray's departure from its cell's history, weighed by what the ray stands for, has mean 0 while nothing
+    changes; their sum is judged by the root of the sum of their squares, or of the sum's own square in updates before
+    where that is more: rays that all miss a small light are no change where that happens now and then. One bright ray
+    never is.
+    """
+    update = first + wp.tid()
+    count = updates_out.count[update]
+    slot = updates_out.slot[update]
+    updates_out.change[update] = 1.0
+    if slot < 0 or grid.exact == 0:
+        return
+    if count <= 0.0:
+        pool_out.noise[slot] = 0.0
+        return
+    change = float(0.0)
+    squares = float(0.0)
+    known = float(0.0)
+    for ray in range(CELLS):
+        index = update * CELLS + ray
+        cell = int(updates_out.cell[index])
+        if cell != NO_CELL:
+            before = from_half(updates_out.previous[update * CELLS + cell])
+            if before[3] > 0.0:
+                weight = 1.0 / updates_out.expected[update * CELLS + cell]
+                old = luminance(rgb(before), grid.luminance)
+                departure = weight * (luminance(counted_radiance(rays, index), grid.luminance) - old)
+                change = change + departure
+                squares = squares + departure * departure
+                known = known + weight * old
+    noise = pool_out.noise[slot]
+    if updates_out.fresh[update] == 1:
+        noise = 0.0
+    # The history errs too, the more the shorter it is.
+    sigma = wp.sqrt(wp.max(squares, noise) * (1.0 + 1.0 / count))
+    if sigma > 0.0 and wp.abs(change) > CHANGE_LEAST * wp.max(known, known + change):
+        z = wp.clamp((wp.abs(change) / sigma - CHANGE_START) / CHANGE_RANGE, 0.0, 1.0)
+        updates_out.count[update] = count * (1.0 - z)
+        ratio = wp.max(known + change, 0.0) / wp.max(known, 1.0e-6)
+        updates_out.change[update] = wp.lerp(1.0, wp.min(ratio, CHANGE_MOST), z)
+    usual = wp.min(change * change, sigma * sigma * (CHANGE_START * CHANGE_START))
+    pool_out.noise[slot] = wp.lerp(wp.max(noise, squares * 0.25), usual, 1.0 / (wp.min(count, 32.0) + 1.0))
+
+
+@wp.func
+def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4:
+    """Return the mean radiance of a probe's rays, each weighed by what it stands for, and their mean distance."""
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    weight = float(0.0)
+    for ray in range(CELLS):
+        index = update * CELLS + ray
+        cell = int(updates.cell[index])
+        if cell != NO_CELL:
+            w = 1.0 / updates.expected[update * CELLS + cell]
+            total = total + rgba(counted_radiance(rays, index), 1.0 / ray_distance(rays, index)) * w
+            weight = weight + w
+    if weight == 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
+    return rgba(rgb(total) / weight, weight / total[3])
+
+
+@wp.func
+def rays_in_cell(updates: ProbeUpdates, update: int, cell: int) -> int:
+    """Return how many rays count in a cell."""
+    found = int(0)
+    for ray in range(CELLS):
+        if int(updates.cell[update * CELLS + ray]) == cell:
+            found = found + 1
+    return found
+
+
+@wp.func
+def published_backup(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec3:
+    """Return what the published method puts into empty cells: the mean of the filled ones, shared by all of them."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    empty = float(0.0)
+    for cell in range(CELLS):
+        found = rays_in_cell(updates, update, cell)
+        if found == 0:
+            empty = empty + 1.0
+        else:
+            mean = wp.vec3(0.0, 0.0, 0.0)
+            for ray in range(CELLS):
+                if int(updates.cell[update * CELLS + ray]) == cell:
+                    mean = mean + counted_radiance(rays, update * CELLS + ray)
+            total = total + mean / float(found)
+    return total / wp.max((float(CELLS) - empty) * empty, 1.0)
+
+
+@wp.func
+def published_step(old: float, new: float) -> float:
+    """Return the weight of the history by the published hysteresis: only what has more than doubled is slowed down."""
+    rise = wp.max(new - old - wp.min(new, old), 0.0) / wp.max(wp.max(new, old), 1.0e-4)
+    rise = wp.min(rise, 0.95)
+    return rise * rise
+
+
+@wp.kernel
+def blend_rays(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    views: wp.array[View],
+    updates: ProbeUpdates,
+    rays: ProbeRays,
+    # Out:
+    pool_out: ProbePool,
+):
+    """Bring one cell of an updated probe up to date."""
+    index = first + wp.tid()
+    update = index // CELLS
+    cell = index % CELLS
+    slot = updates.slot[update]
+    if slot < 0:
+        return
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    found = float(0.0)
+    for ray in range(CELLS):
+        if int(updates.cell[update * CELLS + ray]) == cell:
+            i = update * CELLS + ray
+            total = total + rgba(counted_radiance(rays, i), 1.0 / ray_distance(rays, i))
+            found = found + 1.0
+    before = from_half(updates.previous[index])
+    known = before[3] > 0.0
+    count = updates.count[update]
+    value = rgb(before)
+    inverse = 1.0 / wp.max(before[3], 1.0e-4)
+    if grid.exact == 0:
+        if found > 0.0:
+            value = rgb(total) / found
+            inverse = total[3] / found
+        else:
+            value = published_backup(updates, rays, update)
+            inverse = 1.0 / MISS_DISTANCE
+        if known:
+            old = rgb(before)
+            step = published_step(luminance(old, grid.luminance), luminance(value, grid.luminance))
+            value = wp.lerp(value, old, step)
+    elif found > 0.0:
+        step = wp.min(found / updates.expected[index] / (count + 1.0), 1.0)
+        # Nothing known, or nothing that counts.
+        if not known or count <= 0.0:
+            step = 1.0
+        value = wp.lerp(value, rgb(total) / found, step)
+        inverse = wp.lerp(inverse, total[3] / found, step)
+    elif known and updates.change[update] <= 1.0:
+        value = value * updates.change[update]
+    else:
+        mean = mean_of_rays(updates, rays, update)
+        # Of a probe that became lighter nobody knows in which cells.
+        step = wp.where(known, 1.0 - 1.0 / wp.max(updates.change[update], 1.0), 1.0)
+        value = wp.lerp(value, rgb(mean), step)
+        inverse = wp.lerp(inverse, 1.0 / mean[3], step)
+    noise = hash_combine(wp.uint32(slot * CELLS + cell), wp.uint32(views[0].frame))
+    pool_out.radiance[slot * CELLS + cell] = store(value, 1.0 / inverse, noise)
+    if cell == 0:
+        pool_out.count[slot] = count + 1.0

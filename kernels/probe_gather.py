@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screen probes: what is known about the light at a probe's new place before its rays are traced (GI-1.0, 3.2, 3.5).
+
+A probe that is updated in place keeps its cells: its history is the mean over its tile. Aiming it anew after each
+small move would blur the map a little every time; beside a wall that took 15 % of the light. A new probe asks those of
+the tiles around for the radiance along its cells' directions. Each knows it in the cell in which it sees the same
+point: found by two steps of a fixed-point iteration with the distances that it stores, so a gather replaces the
+published scatter.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import luminance, to_frame
+from .packing import from_half, rgb, rgba, to_half, unpack_normal
+from .probe_map import cell_center, cell_of, to_local
+from .probe_rays import MISS_DISTANCE
+from .probe_spawn import probe_cell, separated
+from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
+from .view import View, project
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Cosine between the direction asked for and that of the point found: a cell is 18 degrees wide.
+REAIM_COSINE = wp.constant(0.95)
+
+# Cosine between the normals of probes that may tell each other something.
+RELATED_NORMAL = wp.constant(0.5)
+
+# A probe that moves farther than so many tiles' widths (seen at a grazing angle) aims its cells anew.
+KEPT_CELLS = wp.constant(4.0)
+
+# Frames after an edit of the light in which nothing known from before counts: bounces need that long to follow.
+LIGHT_FRAMES = wp.constant(12)
+
+UNKNOWN = wp.constant(-1.0)
+
+
+@wp.func
+def aimed_radiance(pool: ProbePool, slot: int, position: wp.vec3, direction: wp.vec3) -> wp.vec4:
+    """Return exposed radiance and distance that arrive at `position` from `direction` as a probe saw it; w < 0: no."""
+    n = unpack_normal(pool.normal[slot])
+    origin = pool.position[slot]
+    aim = direction
+    found = wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
+    if wp.dot(n, aim) <= 0.0:
+        return found
+    value = from_half(pool.radiance[slot * CELLS + cell_of(to_local(n, aim))])
+    if value[3] >= FAR:
+        return value
+    far = value[3]
+    step = int(0)
+    while step < 2:
+        aim = wp.normalize(position + direction * far - origin)
+        if wp.dot(n, aim) <= 0.0:
+            return found
+        value = from_half(pool.radiance[slot * CELLS + cell_of(to_local(n, aim))])
+        if value[3] >= FAR:
+            # What lies behind everything near is seen in the same direction from everywhere, but it was aimed away.
+            if wp.dot(aim, direction) > REAIM_COSINE:
+                return value
+            return found
+        far = wp.length(origin + aim * value[3] - position)
+        step = step + 1
+    seen = origin + aim * value[3] - position
+    if wp.dot(seen, direction) < REAIM_COSINE * wp.length(seen):
+        return found
+    return wp.vec4(value[0], value[1], value[2], wp.min(wp.length(seen), MISS_DISTANCE))
+
+
+@wp.func
+def kept_radiance(pool: ProbePool, slot: int, direction: wp.vec3) -> wp.vec4:
+    """Return exposed radiance and distance that a probe holds for a direction; w < 0: it lies below its surface."""
+    local = to_local(unpack_normal(pool.normal[slot]), direction)
+    if local[2] <= 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
+    return from_half(pool.radiance[slot * CELLS + cell_of(local)])
+
+
+@wp.func
+def related(pool: ProbePool, slot: int, position: wp.vec3, normal: wp.vec3, cell: float) -> bool:
+    """Return whether a probe lies near the tangent plane of a place, facing the same way, with nothing between."""
+    n = unpack_normal(pool.normal[slot])
+    offset = pool.position[slot] - position
+    if wp.abs(wp.dot(normal, offset)) > cell or wp.abs(wp.dot(n, offset)) > cell or wp.dot(n, normal) < RELATED_NORMAL:
+        return False
+    return not separated(pool, slot, position)
+
+
+@wp.func
+def neighbour_tile(grid: ProbeGrid, tile: int, x: int, y: int) -> int:
+    """Return the tile at an offset, -1 off the picture."""
+    i = tile % grid.tile_columns + x
+    j = tile // grid.tile_columns + y
+    if i < 0 or j < 0 or i >= grid.tile_columns or j >= grid.tile_rows:
+        return -1
+    return j * grid.tile_columns + i
+
+
+@wp.func
+def related_probe(
+    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3, cell: float,
+) -> int:
+    """Return the probe of a tile that is related to a place, -1 for none."""
+    if tile < 0:
+        return -1
+    slot = tiles.probe[tile]
+    if slot < 0:
+        return -1
+    if related(pool, slot, position, normal, cell):
+        return slot
+    slot = tiles.other[tile]
+    if slot >= 0:
+        if related(pool, slot, position, normal, cell):
+            return slot
+    return -1
+
+
+@wp.func
+def valid_count(view: View, pool: ProbePool, slot: int) -> float:
+    """Return how many updates a probe's mean is worth: none if they were before the last edit of the light."""
+    if view.light_age < LIGHT_FRAMES or pool.updated[slot] <= view.frame - view.light_age:
+        return 0.0
+    return pool.count[slot]
+
+
+@wp.func
+def gather_around(
+    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3,
+    direction: wp.vec3, cell: float,
+) -> wp.vec4:
+    """Return the mean of what the probes of 3 x 3 tiles know, nearer ones weighing more; w < 0: nothing."""
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    weight = float(0.0)
+    i = int(0)
+    while i < 9:
+        slot = related_probe(
+            grid, pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
+        if slot >= 0:
+            value = aimed_radiance(pool, slot, position, direction)
+            if value[3] > 0.0:
+                w = 1.0 / (1.0 + wp.length_sq(pool.position[slot] - position) / (cell * cell))
+                # Distances are averaged as their inverses: parallax is.
+                total = total + rgba(rgb(value), 1.0 / value[3]) * w
+                weight = weight + w
+        i = i + 1
+    if weight == 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
+    return rgba(rgb(total) / weight, weight / total[3])
+
+
+@wp.kernel
+def gather_history(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    views: wp.array[View],
+    tiles: ProbeTiles,
+    pool: ProbePool,
+    cosines: wp.array[float],
+    # Out:
+    updates_out: ProbeUpdates,
+):
+    """Find for each cell of each update the radiance known before, and how much light it brings."""
+    index = first + wp.tid()
+    update = index // CELLS
+    cell = index % CELLS
+    slot = updates_out.slot[update]
+    if slot < 0:
+        return
+    position = updates_out.position[update]
+    normal = unpack_normal(updates_out.normal[update])
+    direction = to_frame(normal, cell_center(cell))
+    width = probe_cell(views[0], project(views[0].camera, position)[2])
+    value = wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
+    if updates_out.fresh[update] == 0:
+        if wp.length(pool.position[slot] - position) < KEPT_CELLS * width:
+            value = kept_radiance(pool, slot, direction)
+        else:
+            value = aimed_radiance(pool, slot, position, direction)
+    if value[3] <= 0.0:
+        value = gather_around(
+            grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
+    updates_out.previous[index] = to_half(value)
+    updates_out.guide[index] = wp.where(
+        value[3] > 0.0, luminance(rgb(value), grid.luminance) * cosines[cell], UNKNOWN)
+
+
+@wp.kernel
+def count_history(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    views: wp.array[View],
+    tiles: ProbeTiles,
+    pool: ProbePool,
+    # Out:
+    updates_out: ProbeUpdates,
+):
+    """Find how much each update's history is worth, and give cells without one the mean of the others as guide."""
+    update = first + wp.tid()
+    slot = updates_out.slot[update]
+    if slot < 0:
+        return
+    view = views[0]
+    covered = int(0)
+    total = float(0.0)
+    for cell in range(CELLS):
+        guide = updates_out.guide[update * CELLS + cell]
+        if guide >= 0.0:
+            covered = covered + 1
+            total = total + guide
+    for cell in range(CELLS):
+        if updates_out.guide[update * CELLS + cell] < 0.0:
+            updates_out.guide[update * CELLS + cell] = total / wp.max(float(covered), 1.0)
+    count = float(0.0)
+    if updates_out.fresh[update] == 0:
+        count = valid_count(view, pool, slot)
+    else:
+        position = updates_out.position[update]
+        normal = unpack_normal(updates_out.normal[update])
+        width = probe_cell(view, project(view.camera, position)[2])
+        found = float(0.0)
+        i = int(0)
+        while i < 9:
+            tile = neighbour_tile(grid, updates_out.tile[update], i % 3 - 1, i // 3 - 1)
+            other = related_probe(grid, pool, tiles, tile, position, normal, width)
+            if other >= 0:
+                count = count + valid_count(view, pool, other)
+                found = found + 1.0
+            i = i + 1
+        count = count / wp.max(found, 1.0)
+    # Longer at rest, by the updates since.
+    turns = float(grid.side * grid.side)
+    limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)
+    updates_out.count[update] = wp.min(count, wp.max(limit, 1.0))
+    updates_out.covered[update] = covered
