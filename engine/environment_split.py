@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splits the world's light: what probes gather, and suns and windows that are sampled as lights.
+
+Probes send 64 rays over the hemisphere and would turn a sun of half a degree into sparks; light above a threshold is
+therefore sampled directly (kernels/environment_split.py). The threshold follows from the world's sampling table.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ..kernels import types
+from ..kernels.environment_split import NO_THRESHOLD, EnvironmentSplit
+from ..kernels.lights import FAR
+from ..kernels.paths import PENDING_WORLD
+from ..kernels.shadow_lights import shade_lights
+from .alias_table import build_alias_table
+from .device import block_size, run_bands
+from .environment import UNIFORM_SHARE, no_environment
+from .shadow_rays import make_options, make_queue, make_shadow_rays
+
+__all__ = ["no_split", "split_environment"]
+
+THRESHOLD_RATIO = 4.0
+"""Threshold over the mean luminance of the soft part: 64 rays average that much contrast away"""
+
+LEAST_SHARE = 0.01
+"""Of the excess in all light, below which it is left to the probes"""
+
+FLOOR_SHARE = 0.05
+"""Of samples spread over all texels that may hold excess, so that none is drawn too rarely"""
+
+SUSPECT_RATIO = 2.0
+"""A texel is looked at closely where its mean, or a neighbour's, is above the threshold over this"""
+
+CLOSE_LOOKS = 1 << 19
+"""Directions evaluated in all suspect texels together"""
+
+CHUNK = 1 << 16
+"""Directions evaluated at once"""
+
+
+def no_split(device: str) -> EnvironmentSplit:
+    """Return the split of a world without excess."""
+    split = EnvironmentSplit()
+    split.threshold = float(NO_THRESHOLD)
+    split.table = no_environment(device)
+    return split
+
+
+def split_environment(scene: types.Scene, device: str) -> EnvironmentSplit:
+    """Choose the threshold and bake the table of the excess; call it when the world or its images change.
+
+    Args:
+        scene: With its environment built.
+        device: Where to put the table.
+    """
+    environment = scene.environment
+    if environment.constant == 1 or environment.width == 0:
+        return no_split(device)
+    width, height = environment.width, environment.height
+    sin_theta = np.sin(np.pi * (np.arange(height) + 0.5) / height)
+    solid_angle = np.broadcast_to(sin_theta[:, None], (height, width)) / (sin_theta.sum() * width)
+    mean = _relative_radiance(environment, solid_angle)
+    suspects, points = _suspects(mean, solid_angle)
+    if len(suspects) == 0:
+        return no_split(device)
+    luminance, peak = _look_closely(scene, suspects, points, width, height, device)
+    # The table knows brightness up to a factor; the close look gives it (peak: of the largest channel, as there).
+    scale = (peak.mean(1) * solid_angle.ravel()[suspects]).sum() / max(
+        (mean.ravel()[suspects] * solid_angle.ravel()[suspects]).sum(), 1e-30)
+    mean = mean * scale
+    threshold = _threshold(mean, solid_angle)
+    excess = np.maximum(luminance - threshold, 0.0).mean(1)
+    spots = solid_angle.ravel()[suspects]
+    total = (excess * spots).sum()
+    share = total / max((mean * solid_angle).sum(), 1e-30)
+    if not np.isfinite(share) or share < LEAST_SHARE:
+        return no_split(device)
+    # Neighbours of bright texels may hold some of it between the points looked at.
+    bright = np.zeros(width * height)
+    bright[suspects] = luminance.max(1) > threshold
+    floor = (_dilate(bright.reshape(height, width)) * solid_angle).ravel()
+    weights = np.zeros(width * height)
+    weights[suspects] = (1.0 - FLOOR_SHARE) * excess * spots / total
+    weights += FLOOR_SHARE * floor / floor.sum()
+    return _make_split(scene, weights / weights.sum(), float(threshold), float(total * 4.0 * np.pi), float(share),
+                       device)
+
+
+def _make_split(
+    scene: types.Scene, weights: np.ndarray, threshold: float, power: float, share: float, device: str,
+) -> EnvironmentSplit:
+    split = EnvironmentSplit()
+    split.threshold, split.power, split.share = threshold, power, min(share, 1.0)
+    probability, alias = build_alias_table(weights)
+    table = no_environment(device)
+    table.width, table.height = scene.environment.width, scene.environment.height
+    table.visibility = scene.environment.visibility
+    table.constant = 0
+    table.probability = wp.array(probability, dtype=float, device=device)
+    table.alias = wp.array(alias, dtype=int, device=device)
+    table.weight = wp.array(weights.astype(np.float32), dtype=float, device=device)
+    split.table = table
+    return split
+
+
+def _relative_radiance(environment: types.Environment, solid_angle: np.ndarray) -> np.ndarray:
+    """Return each texel's mean radiance (largest channel) over that of the sphere, from the sampling table."""
+    weights = environment.weight.numpy().astype(np.float64).reshape(solid_angle.shape)
+    return np.maximum(weights / solid_angle - UNIFORM_SHARE, 0.0) / (1.0 - UNIFORM_SHARE)
+
+
+def _threshold(mean: np.ndarray, solid_angle: np.ndarray) -> float:
+    """Return the threshold: a multiple of the mean of all light that is limited to it.
+
+    The mean of all light itself would be drawn up by the very sun that is to be cut out.
+    """
+    whole = (mean * solid_angle).sum()
+    threshold = THRESHOLD_RATIO * whole
+    for _ in range(16):
+        soft = (np.minimum(mean, threshold) * solid_angle).sum()
+        # A sun in a black sky has no soft part: keep the threshold above nothing.
+        threshold = max(THRESHOLD_RATIO * soft, 1e-3 * whole)
+    return float(threshold)
+
+
+def _dilate(values: np.ndarray) -> np.ndarray:
+    """Return the largest of each texel and its eight neighbours; around the poles' axis the map is closed."""
+    wide = np.pad(values, ((1, 1), (0, 0)), mode="edge")
+    tall = np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:])
+    return np.maximum(np.maximum(np.roll(tall, 1, 1), tall), np.roll(tall, -1, 1))
+
+
+def _suspects(mean: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the texels that may hold excess, and at how many points a side each is looked at."""
+    bright = mean > _threshold(mean, solid_angle) / SUSPECT_RATIO
+    if not bright.any():
+        return np.zeros(0, np.int64), 0
+    suspects = np.flatnonzero(_dilate(bright.astype(float)))
+    return suspects, int(np.clip(np.sqrt(CLOSE_LOOKS / len(suspects)), 2, 16))
+
+
+def _look_closely(
+    scene: types.Scene, texels: np.ndarray, points: int, width: int, height: int, device: str,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return luminance and largest channel of the world, unfiltered, at points x points places in each texel."""
+    steps = (np.arange(points) + 0.5) / points
+    x = ((texels % width)[:, None, None] + steps[None, None, :]) / width
+    y = ((texels // width)[:, None, None] + steps[None, :, None]) / height
+    phi, theta = np.broadcast_arrays(2.0 * np.pi * x, np.pi * y)
+    directions = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
+    radiance = _evaluate(scene, directions.astype(np.float32), device)
+    radiance[~np.isfinite(radiance).all(1)] = 0.0
+    luminance = radiance @ np.array(scene.luminance, np.float64)
+    shape = (len(texels), points * points)
+    return np.maximum(luminance, 0.0).reshape(shape), np.maximum(radiance.max(1), 0.0).reshape(shape)
+
+
+def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.ndarray:
+    """Return the world's radiance, float64 [N, 3]: the path tracer's kernel for rays that wait for the world."""
+    size = min(CHUNK, len(directions))
+    rays, queue = make_shadow_rays(size, device, layers=False, programs=True), make_queue(size, device)
+    options, block = make_options(filtered=False), block_size(shade_lights.module.name, device)
+    wp.load_module(shade_lights.module.name, device=device, block_dim=block)
+    rays.shadow_pending.fill_(int(PENDING_WORLD))
+    rays.shadow_light.fill_(wp.vec3(1.0, 1.0, 1.0))
+    result = np.zeros((len(directions), 3))
+    parts = 1 if wp.get_device(device).is_cuda else 16
+    for low in range(0, len(directions), size):
+        chunk = directions[low : low + size]
+        padded = np.concatenate([chunk, np.zeros((size - len(chunk), 3), np.float32)])
+        rays.shadow_direction.assign(padded)
+        rays.shadow_distance.fill_(float(FAR))
+        rays.radiance.zero_()
+        edges = [len(chunk) * i // parts for i in range(parts + 1)]
+        run_bands([
+            lambda a=a, b=b: wp.launch(
+                shade_lights, b - a, [scene, options, 0, queue[a:b]], [rays], device=device, block_dim=block)
+            for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
+        result[low : low + len(chunk)] = rays.radiance.numpy()[: len(chunk), :3]
+    return result

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shadow rays outside of the path tracer: their states, and its kernels launched from a recorded frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ..kernels.paths import Options, Paths
+from ..kernels.shading_types import Closure
+from .device import block_size, run_bands, thread_count
+from .frame_graph import BANDS_PER_THREAD, FrameGraph
+
+__all__ = ["launch_queued", "make_options", "make_queue", "make_shadow_rays"]
+
+RAY = {"shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float}
+"""What every shadow ray has"""
+
+EXTRA = {
+    "shadow_light": wp.vec3, "shadow_pending": int, "shadow_emitter": wp.vec2i, "shadow_barycentrics": wp.vec2,
+    "radiance": wp.vec4,
+}
+"""For rays whose light is weakened by layers or comes from a program"""
+
+LAYERS = {"layer_t": float, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "overruns": int}
+"""For rays that may meet triangles that need a test"""
+
+CONE = {"cone": wp.vec2}
+"""For programs of emissive triangles; zero: textures unfiltered"""
+
+UNUSED = {
+    "state": int, "seed": wp.uint32, "index": wp.uint32, "origin": wp.vec3, "direction": wp.vec3, "t": float,
+    "hit": wp.vec2i, "barycentrics": wp.vec2, "throughput": wp.vec3, "pdf": float, "kind": int, "closure": Closure,
+    "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4, "surface_emission": wp.vec3,
+    "environment": wp.vec3,
+}
+
+
+def make_shadow_rays(count: int, device: str, *, layers: bool, programs: bool) -> Paths:
+    """Return path states with room for `count` shadow rays; arrays that stay unused have one element.
+
+    Args:
+        count: Number of rays.
+        device: Where to put them.
+        layers: Whether triangles that need a test may be in the way.
+        programs: Whether lights may be programs.
+    """
+    paths = Paths()
+    groups = (
+        (RAY, count), (EXTRA, count if layers or programs else 1), (LAYERS, count if layers else 1),
+        (CONE, count if programs else 1), (UNUSED, 1))
+    for arrays, size in groups:
+        for name, dtype in arrays.items():
+            setattr(paths, name, wp.zeros(size, dtype=dtype, device=device))
+    return paths
+
+
+def make_queue(count: int, device: str) -> wp.array:
+    """Return the queue of all slots in order."""
+    return wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
+
+
+def make_options(*, filtered: bool) -> Options:
+    """Return options that clamp nothing."""
+    options = Options()
+    options.exposure = 1.0
+    options.filtered = int(filtered)
+    options.programs = 1
+    return options
+
+
+def launch_queued(graph: FrameGraph, kernel: wp.Kernel, inputs: list, queue: wp.array, paths: Paths) -> None:
+    """Record a kernel of the path tracer, whose last input is a queue, over all of the queue.
+
+    On the processor each core takes a part of the queue: such kernels write only their own path.
+    """
+    parts = 1 if graph.cuda else min(thread_count() * BANDS_PER_THREAD, max(queue.shape[0] // 256, 1))
+    edges = [queue.shape[0] * i // parts for i in range(parts + 1)]
+    launches = [
+        wp.launch(
+            kernel, high - low, [*inputs, queue[low:high]], [paths], device=graph.device,
+            block_dim=block_size(kernel.module.name, graph.device), record_cmd=True)
+        for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    # The launches hold addresses only: the closure keeps what they point to.
+    kept = (inputs, queue, paths)
+
+    def replay() -> None:
+        assert kept
+        if len(launches) == 1:
+            launches[0].launch()
+        else:
+            run_bands([launch.launch for launch in launches])
+
+    graph.call(replay)

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Temporal half of the direct light's denoiser (SVGF, Schied et al. 2017, sections 4.1 and 4.2).
+
+Diffuse and specular light, both demodulated, are averaged over frames at reprojected pixels; beside the means go
+their deviations (Welford's update, which does not cancel as moments do) and short means to find changes by.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .filter_weights import brightness, pixel_plane, plane_weight, power_32
+from .gbuffer import GBuffer
+from .geometry_math import is_finite3
+from .long_mean import ALL_TAPS, TAP_MINIMUM, gather_mean, gather_sharpness, history_cap, pack_mean, usable_weight
+from .packing import from_half, rgb, rgba, to_half, unpack_normal
+from .reprojection import Reprojection, tap_pixel
+from .view import SKY_DEPTH, View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Frames in the short mean.
+FAST_FRAMES = wp.constant(5.0)
+# Frames below which the deviation is estimated from the neighbourhood (SVGF, section 4.2).
+SPATIAL_FRAMES = wp.constant(4.0)
+# Frames that the deviation is averaged over at most: more would be lost in a half-float's rounding.
+DEVIATION_FRAMES = wp.constant(256.0)
+
+
+@wp.struct
+class DirectHistory:
+    """What a frame leaves of direct light for the next: 26 bytes a pixel."""
+
+    diffuse: wp.array[wp.uint64]
+    """pack_mean"""
+    specular: wp.array[wp.uint64]
+    moments: wp.array[wp.vec4h]
+    """Standard deviation of a sample's luminance, diffuse and specular; short mean of both"""
+    length: wp.array[wp.float16]
+    """Frames in the mean; 0: none. Negative: as many, and the light is changing"""
+
+
+@wp.struct
+class DirectMean:
+    """The means of one pixel."""
+
+    diffuse: wp.vec3
+    specular: wp.vec3
+    moments: wp.vec4
+    length: float
+    changed: int
+    """1: the light was changing in the frame before"""
+
+
+@wp.func
+def empty_mean() -> DirectMean:
+    """Return a mean of no frames."""
+    m = DirectMean()
+    m.diffuse = wp.vec3(0.0, 0.0, 0.0)
+    m.specular = wp.vec3(0.0, 0.0, 0.0)
+    m.moments = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    m.length = 0.0
+    m.changed = 0
+    return m
+
+
+@wp.func
+def gather_direct(
+    history: DirectHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
+) -> DirectMean:
+    """Return the means of the frame before at a pixel's surface; its length is 0 where there are none."""
+    m = empty_mean()
+    weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    moments = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    length = float(0.0)
+    total = float(0.0)
+    complete = int(taps) == ALL_TAPS
+    for tap in range(4):
+        w = usable_weight(position, taps, tap)
+        if w > 0.0:
+            pixel = tap_pixel(position, tap, width)
+            frames = float(history.length[pixel])
+            if frames != 0.0:
+                weights[tap] = w
+                total += w
+                moments += from_half(history.moments[pixel]) * w
+                length += wp.abs(frames) * w
+                if frames < 0.0 and w > 0.25:
+                    m.changed = 1
+            else:
+                complete = False
+    if total > TAP_MINIMUM:
+        scale = 1.0 / total
+        m.moments = moments * scale
+        m.length = length * scale
+        sharpness = gather_sharpness(gbuffer, position, complete, width, height)
+        m.diffuse = gather_mean(history.diffuse, position, weights * scale, sharpness, width, height)
+        m.specular = gather_mean(history.specular, position, weights * scale, sharpness, width, height)
+    return m
+
+
+@wp.func
+def spatial_deviation(
+    view: View, gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.vec4h],
+    specular: wp.array[wp.vec4h],
+) -> wp.vec2:
+    """Return the standard deviations of the samples' luminances (diffuse, specular) over 5x5 pixels of the surface."""
+    plane = pixel_plane(view, gbuffer, width, pixel)
+    normal = unpack_normal(gbuffer.normal[pixel])
+    x = pixel % width
+    y = pixel // width
+    mean = wp.vec2(0.0, 0.0)
+    square = wp.vec2(0.0, 0.0)
+    total = float(0.0)
+    index = int(0)
+    while index < 25:
+        dx = index % 5 - 2
+        dy = index // 5 - 2
+        index += 1
+        if x + dx >= 0 and x + dx < width and y + dy >= 0 and y + dy < height:
+            q = pixel + dy * width + dx
+            d = from_half(diffuse[q])
+            s = from_half(specular[q])
+            values = wp.vec2(brightness(rgb(d)), brightness(rgb(s)))
+            w = plane_weight(plane, dx, dy, gbuffer.depth[q]) * power_32(
+                wp.dot(normal, unpack_normal(gbuffer.normal[q])))
+            if w > 0.0 and d[3] > 0.0 and wp.isfinite(values[0]) and wp.isfinite(values[1]):
+                mean += values * w
+                square += wp.cw_mul(values, values) * w
+                total += w
+    scale = 1.0 / wp.max(total, 1.0e-6)
+    variance = square * scale - wp.cw_mul(mean, mean) * (scale * scale)
+    return wp.vec2(wp.sqrt(wp.max(variance[0], 0.0)), wp.sqrt(wp.max(variance[1], 0.0)))
+
+
+@wp.func
+def updated_deviation(old: float, change: float, blend: float) -> float:
+    """Return the standard deviation after a sample that differs from the mean by `change` (Welford, weighted)."""
+    return wp.sqrt((1.0 - blend) * (old * old + blend * change * change))
+
+
+@wp.func
+def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, cap: float) -> DirectMean:
+    """Return the means after one more sample; at most `cap` frames keep their weight."""
+    out = m
+    out.length = wp.min(m.length + 1.0, cap)
+    blend = 1.0 / out.length
+    d = brightness(diffuse)
+    s = brightness(specular)
+    if m.changed == 0:
+        # A change is not noise: it must not widen what counts as noise.
+        narrow = wp.max(blend, 1.0 / DEVIATION_FRAMES)
+        out.moments[0] = updated_deviation(m.moments[0], d - brightness(m.diffuse), narrow)
+        out.moments[1] = updated_deviation(m.moments[1], s - brightness(m.specular), narrow)
+    fast = wp.max(blend, 1.0 / FAST_FRAMES)
+    out.moments[2] = wp.lerp(m.moments[2], d, fast)
+    out.moments[3] = wp.lerp(m.moments[3], s, fast)
+    out.diffuse = wp.lerp(m.diffuse, diffuse, blend)
+    out.specular = wp.lerp(m.specular, specular, blend)
+    return out
+
+
+@wp.kernel
+def accumulate_direct(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    previous_gbuffer: GBuffer,
+    reprojection: Reprojection,
+    width: int,
+    height: int,
+    diffuse: wp.array[wp.vec4h],
+    specular: wp.array[wp.vec4h],
+    history: DirectHistory,
+    frames: float,
+    # Out:
+    history_out: DirectHistory,
+    diffuse_out: wp.array[wp.vec4h],
+    specular_out: wp.array[wp.vec4h],
+):
+    """Average direct light over frames (SVGF, section 4.1); banded over pixels.
+
+    In detail:
+        first: Of the band.
+        diffuse: This frame's samples; w = 0: none.
+        specular: Like `diffuse`, whose w counts for both.
+        history: Of the frame before.
+        frames: Cap of the mean's length in motion.
+        diffuse_out: Mean; w = standard deviation of its luminance, -1 where nothing is known.
+        specular_out: Like `diffuse_out`.
+
+    93 bytes a pixel: 51 read (depth 4, reprojection 9, samples 16, history 26 from one to four pixels, cached; the
+    means, depths and normals of 16 pixels while the camera moves), 42 written. New surfaces read 5x5 pixels more.
+    """
+    pixel = first + wp.tid()
+    view = views[0]
+    m = empty_mean()
+    if gbuffer.depth[pixel] < SKY_DEPTH:
+        if view.restart == 0:
+            m = gather_direct(
+                history, previous_gbuffer, reprojection.position[pixel], reprojection.taps[pixel], width, height)
+        d = from_half(diffuse[pixel])
+        s = from_half(specular[pixel])
+        if d[3] > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
+            zero = wp.vec3(0.0, 0.0, 0.0)
+            cap = history_cap(view.rest, view.light_age, frames)
+            m = add_sample(m, wp.max(rgb(d), zero), wp.max(rgb(s), zero), cap)
+            if m.length < SPATIAL_FRAMES:
+                around = spatial_deviation(view, gbuffer, width, height, pixel, diffuse, specular)
+                if m.changed == 0:
+                    around = wp.max(around, wp.vec2(m.moments[0], m.moments[1]))
+                m.moments[0] = around[0]
+                m.moments[1] = around[1]
+    history_out.diffuse[pixel] = pack_mean(m.diffuse)
+    history_out.specular[pixel] = pack_mean(m.specular)
+    history_out.moments[pixel] = to_half(m.moments)
+    history_out.length[pixel] = wp.float16(wp.where(m.changed == 1, -m.length, m.length))
+    error = wp.vec2(-1.0, -1.0)
+    if m.length > 0.0:
+        error = wp.vec2(m.moments[0], m.moments[1]) * wp.sqrt(1.0 / m.length)
+    diffuse_out[pixel] = to_half(rgba(m.diffuse, error[0]))
+    specular_out[pixel] = to_half(rgba(m.specular, error[1]))

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the direct light pass: its mean against the path tracer, for every light, with and without each saving."""
+
+import numpy as np
+import pytest
+from burnish.engine.program import ProgramBuilder
+from burnish.engine.scene import MaterialData, Visibility
+
+from tests import scenes
+from tests.direct_frames import Frames, reference, sunny_world
+
+CAMERA = scenes.camera_above(height=1.0, half=0.5)
+"""Sees the plane from below the lamps"""
+
+GREY = {"grey": scenes.material(color=0.6)}
+GLOSSY = {"grey": scenes.material("GLOSSY", color=0.8, roughness=0.3)}
+SETTINGS = {
+    "plain": {"temporal_reuse": 0, "half_rate": False}, "reuse": {"temporal_reuse": 2, "half_rate": False},
+    "half rate": {"temporal_reuse": 0}, "both": {"temporal_reuse": 2},
+    "one candidate": {"temporal_reuse": 2, "candidates": 1},
+}
+
+
+def plane(lights=(), background=0.0, materials=GREY, objects=(), meshes=None):
+    """Make a plane under lights."""
+    return scenes.delta({"plane": scenes.quad(20.0), **(meshes or {})}, [("plane", np.eye(4), "grey"), *objects],
+                        dict(materials), lights, background)
+
+
+def textured_emitter():
+    """Make an emitter whose light varies over its surface, in colour too."""
+    builder = ProgramBuilder()
+    u = builder.component(builder.uv("UVMap"), 0)
+    builder.emit(builder.combine(u, 0.5, builder.math("SUBTRACT", 1.0, u)), builder.math("MULTIPLY", u, 20.0), 1.0)
+    return MaterialData(name="textured", program=builder.finish(), has_emission=True)
+
+
+def many_lamps(count=300):
+    """Make point lamps of very different strength, spread above the plane."""
+    rng = np.random.default_rng(1)
+    places = rng.uniform([-3, -3, 1.2], [3, 3, 3], (count, 3))
+    return [scenes.lamp("POINT", float(10.0 ** rng.uniform(-1, 1.5)), scenes.place(*p), radius=0.02, use_mis=False)
+            for p in places]
+
+
+def lit(name):
+    """Make one of the scenes, by the light in it."""
+    above = scenes.place(x=0.3, y=0.2, z=1.5)
+    if name == "point":
+        return plane([scenes.lamp("POINT", 100.0, above, radius=0.2)])
+    if name == "spot":
+        return plane([scenes.lamp("SPOT", 100.0, scenes.place(z=1.5), spot_size=0.6, spot_blend=0.5, radius=0.05)])
+    if name == "area":
+        return plane([scenes.lamp("AREA", 50.0, above, size_x=1.0)])
+    if name == "sun":
+        return plane([scenes.lamp("SUN", 3.0, angle=0.3)])
+    if name == "sun and point":
+        return plane([scenes.lamp("SUN", 3.0), scenes.lamp("SUN", 1.0, angle=0.2), scenes.lamp("POINT", 40.0, above)])
+    panel = [("panel", scenes.place(x=0.4, z=1.3), "light")]
+    meshes = {"panel": scenes.quad(0.5)}
+    if name == "emitter":
+        return plane(materials={**GREY, "light": scenes.emitter(5.0)}, objects=panel, meshes=meshes)
+    if name == "textured emitter and lamp":
+        lamp = scenes.lamp("POINT", 20.0, scenes.place(x=-1.0, z=1.2), radius=0.1)
+        return plane([lamp], materials={**GREY, "light": textured_emitter()}, objects=panel, meshes=meshes)
+    if name == "world":
+        return plane(background=sunny_world())
+    return plane(many_lamps())
+
+
+LIGHTS = ("point", "spot", "area", "sun", "sun and point", "emitter", "textured emitter and lamp", "world", "many")
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_mean_is_that_of_the_path_tracer(light):
+    """Give the path tracer's direct light on average, whether or not samples and shadow rays are shared."""
+    delta = lit(light)
+    expected = reference(delta, CAMERA, samples=2048)
+    for name, settings in SETTINGS.items():
+        mean = Frames(delta, CAMERA, **settings).mean(1024)
+        # The standard error is 0.5 % where lamps are textured, elsewhere half of it.
+        rtol = 0.02 if "textured" in light else 0.01
+        np.testing.assert_allclose(mean.mean((0, 1)), expected.mean((0, 1)), rtol=rtol, err_msg=name)
+
+
+@pytest.mark.parametrize("light", ["area", "emitter", "many"])
+def test_glossy_surface(light):
+    """Give the path tracer's highlight on average at roughness 0.3."""
+    delta = lit(light)
+    delta.materials["grey"] = GLOSSY["grey"]
+    camera = scenes.camera_above(height=1.0, half=0.5, orthographic=False)
+    expected = reference(delta, camera, samples=4096)
+    for name, settings in SETTINGS.items():
+        mean = Frames(delta, camera, **settings).mean(1024)
+        # Three standard errors; a single candidate has twice as much noise.
+        rtol = 0.03 if name == "one candidate" else 0.015
+        np.testing.assert_allclose(mean.mean(), expected.mean(), rtol=rtol, err_msg=name)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_shadows(name):
+    """Keep shadow and penumbra of two lamps behind a square in place and in strength."""
+    lamps = [scenes.lamp("POINT", 60.0, scenes.place(x=-0.8, z=2.0), radius=0.2),
+             scenes.lamp("POINT", 30.0, scenes.place(x=0.9, z=1.8), radius=0.1)]
+    delta = plane(lamps, meshes={"blocker": scenes.quad(0.3)}, objects=[("blocker", scenes.place(z=1.05), "grey")])
+    expected = reference(delta, CAMERA, 16, 4096)
+    mean = Frames(delta, CAMERA, 16, **SETTINGS[name]).mean(512)
+    np.testing.assert_allclose(mean.mean(), expected.mean(), rtol=0.01)
+    # Means of 4x4 pixels: single ones keep some noise.
+    blocks = [picture.reshape(4, 4, 4, 4, 3).mean((1, 3)) for picture in (mean, expected)]
+    np.testing.assert_allclose(*blocks, atol=0.03 * expected.max())
+
+
+def test_curved_surface():
+    """Give the path tracer's light on a sphere, its terminator included, at half rate and full."""
+    delta = scenes.delta({"ball": scenes.sphere(0.45, 24)}, [("ball", np.eye(4), "grey")], GREY,
+                         [scenes.lamp("POINT", 60.0, scenes.place(x=1.5, z=0.8), radius=0.2)])
+    expected = reference(delta, CAMERA, 24, 2048)
+    for name, settings in SETTINGS.items():
+        mean = Frames(delta, CAMERA, 24, **settings).mean(256)
+        inside = np.s_[4:20, 4:20]
+        np.testing.assert_allclose(mean[inside].mean(), expected[inside].mean(), rtol=0.012, err_msg=name)
+
+
+def test_transparent_layers():
+    """Weaken light by the transparent squares that it passes, the world's excess included."""
+    veil = {**GREY, "veil": scenes.transparent(0.5, color=0.0)}
+    above = [("plane", scenes.place(z=1.1), "veil")]
+    for lights, background in (([scenes.lamp("SUN", 3.0)], 0.0), ([], sunny_world())):
+        clear = Frames(plane(lights, background), CAMERA).mean(256)
+        veiled = Frames(plane(lights, background, veil, above), CAMERA).mean(256)
+        assert clear.mean() > 0.1
+        np.testing.assert_allclose(veiled.mean((0, 1)), 0.5 * clear.mean((0, 1)), rtol=0.01)
+
+
+def test_world_is_split_without_loss():
+    """Leave to the probes exactly what the excess of a sun in a sky does not hold."""
+    both = Frames(plane(background=sunny_world(sky=0.5)), CAMERA)
+    alone = Frames(plane(background=sunny_world()), CAMERA)
+    assert 1e-3 < both.split.threshold < 50 and both.split.share > 0.3
+    patch = np.array([1.0, 0.8, 0.5]) * 200.0
+    luminance = np.array(both.scene.luminance)
+    kept = 1.0 - both.split.threshold / ((patch + 0.5) @ luminance)
+    expected = alone.mean(256).mean((0, 1)) / (patch * (1 - alone.split.threshold / (patch @ luminance)))
+    np.testing.assert_allclose(both.mean(256).mean((0, 1)), expected * (patch + 0.5) * kept, rtol=0.01)
+
+
+def test_lights_switched_off_for_lobes_or_shadows():
+    """Leave out a lamp's light for the lobes that it is hidden from, and shadows where it casts none."""
+    above = scenes.place(z=1.5)
+    hidden = int(Visibility.ALL & ~Visibility.DIFFUSE)
+    assert Frames(plane([scenes.lamp("POINT", 50.0, above, visibility=hidden)]), CAMERA).mean(8).max() == 0.0
+    blocker = {"objects": [("blocker", scenes.place(z=1.1), "grey")], "meshes": {"blocker": scenes.quad(5.0)}}
+    for shadow, bright in ((True, False), (False, True)):
+        delta = plane([scenes.lamp("POINT", 50.0, above, cast_shadow=shadow)], **blocker)
+        assert (Frames(delta, CAMERA).mean(16).min() > 0.1) == bright
+
+
+def test_translucent_surface_is_lit_from_behind():
+    """Give light through a translucent surface as the path tracer does."""
+    delta = plane([scenes.lamp("POINT", 50.0, scenes.place(z=-1.0), radius=0.1)],
+                  materials={"grey": scenes.material("TRANSLUCENT", color=0.7)})
+    expected = reference(delta, CAMERA, samples=1024)
+    assert expected.mean() > 0.1
+    np.testing.assert_allclose(Frames(delta, CAMERA).mean(256).mean(), expected.mean(), rtol=0.01)
+
+
+def test_nothing_lights_an_empty_scene():
+    """Skip the pass, and clear what it gave before, where there is no light."""
+    frames = Frames(plane(background=0.5), CAMERA)
+    assert "Direct light" in frames.graphs[0].skipped
+    frames.frame()
+    assert not frames.light.diffuse.numpy().any()
+
+
+@pytest.mark.parametrize("lamp", [
+    scenes.lamp("POINT", 0.0), scenes.lamp("POINT", 1e30, scenes.place(z=1.2)), scenes.lamp("AREA", 5.0, size_x=0.0),
+    scenes.lamp("POINT", 5.0, scenes.place(z=0.0)), scenes.lamp("SPOT", 5.0, scenes.place(z=1.2), spot_size=0.0),
+    scenes.lamp("AREA", 50.0, scenes.place(z=1.2), size_x=1e-6), scenes.lamp("SUN", 1e-30),
+], ids=["black", "huge", "no size", "on the surface", "no cone", "tiny", "faint"])
+def test_odd_lamps_give_finite_light(lamp):
+    """Write finite numbers only, into light and reservoirs, for lamps without power, size or sense."""
+    good = scenes.lamp("POINT", 10.0, scenes.place(x=0.5, z=1.3))
+    frames = Frames(plane([lamp, good]), CAMERA)
+    for _ in range(20):
+        frames.frame()
+        for array in (frames.light.diffuse, frames.light.specular):
+            assert np.isfinite(array.numpy().astype(np.float32)).all()
+        assert np.isfinite(frames.direct.reservoirs.current(frames.views.parity).weight.numpy()).all()
+    assert frames.light.diffuse.numpy().astype(np.float32)[:, :3].max() > 0.0
+
+
+def test_reuse_lowers_noise_in_motion_and_ends_at_rest():
+    """Have less noise a frame with temporal reuse, and none of it carried over at rest."""
+    delta = lit("many")
+    spread = {}
+    for name in ("plain", "reuse"):
+        frames = Frames(delta, CAMERA, 16, **SETTINGS[name])
+        frames.mean(16)
+        pictures = []
+        for _ in range(32):
+            frames.frame()
+            pictures.append(frames.light_with_colors())
+        spread[name] = np.std(pictures, 0).mean()
+    assert spread["reuse"] < 0.75 * spread["plain"], spread
+    for _ in range(20):
+        frames.frame(moving=False)
+    counts = frames.direct.reservoirs.current(frames.views.parity).weight.numpy()[:, 1]
+    np.testing.assert_array_equal(counts, 4.0)
+
+
+def test_rest_converges_faster_than_independent_samples():
+    """Draw one stratified set over all frames at rest: 256 frames err far less than 16 times below one frame."""
+    delta = lit("area")
+    frames = Frames(delta, CAMERA, candidates=1)
+    one = [frames.mean(1, moving=False) for _ in range(64)][32:]
+    truth = reference(delta, CAMERA, samples=4096)
+    single = np.sqrt(np.mean((np.array(one) - truth) ** 2))
+    many = np.sqrt(np.mean((frames.mean(256, moving=False) - truth) ** 2))
+    assert many < 0.5 * single / 16
+
+
+def test_same_frames_twice_and_debug_views():
+    """Give the same numbers in a second run, and a finite picture for every debug view."""
+    delta = lit("sun and point")
+    first, second = (Frames(delta, CAMERA, exposure=3.0) for _ in range(2))
+    np.testing.assert_array_equal(first.mean(8), second.mean(8))
+    for name in first.direct.debug_views:
+        first.record(name)
+        first.frame()
+        picture = first.picture.numpy()
+        assert np.isfinite(picture).all()
+        assert picture[:, :3].any() == (name != "direct.specular"), name

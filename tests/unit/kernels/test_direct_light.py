@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of light candidates: chances, packing and replay."""
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.device_scene import DeviceScene
+from burnish.engine.environment_split import split_environment
+from burnish.kernels.environment_split import EnvironmentSplit
+from burnish.kernels.light_candidate import (
+    candidate_index,
+    candidate_kind,
+    candidate_place,
+    choose,
+    make_candidate,
+    replay,
+)
+from burnish.kernels.types import Scene
+
+from tests import scenes
+from tests.direct_frames import sunny_world
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+COUNT = 1 << 16
+
+
+@wp.kernel
+def pack(
+    # In:
+    u: wp.array[wp.vec2],
+    # Out:
+    ids_out: wp.array[wp.vec2i],
+    places_out: wp.array[wp.vec2],
+):
+    """Pack and unpack candidates."""
+    i = wp.tid()
+    c = make_candidate(1 + i % 3, i * 1000, u[i])
+    ids_out[i] = wp.vec2i(candidate_kind(c), candidate_index(c))
+    places_out[i] = candidate_place(c)
+
+
+@wp.kernel
+def draw(
+    # In:
+    scene: Scene,
+    split: EnvironmentSplit,
+    position: wp.vec3,
+    random: wp.array2d[float],
+    # Out:
+    lights_out: wp.array[wp.uint32],
+    values_out: wp.array[wp.vec3],
+):
+    """Draw candidates: their light, its chance, 1 / (pdf chance), and radiance / (pdf chance) up to 90 degrees."""
+    i = wp.tid()
+    choice = choose(
+        scene, split, position, wp.vec2(random[i, 0], random[i, 1]), wp.vec2(random[i, 2], random[i, 3]),
+        wp.vec2(random[i, 4], random[i, 5]))
+    lights_out[i] = choice.candidate.light
+    if choice.chance > 0.0:
+        s = replay(scene, split, 1.0, position, choice.candidate)
+        if s.kind >= 0:
+            density = s.pdf * choice.chance
+            values_out[i] = wp.vec3(choice.chance, 1.0 / density, s.radiance[1] * wp.max(s.wi[2], 0.0) / density)
+
+
+def drawn(delta, device, position=(0.0, 0.0, 0.0)):
+    """Return lights, values of many candidates, and the scene's split."""
+    scene = DeviceScene(device)
+    scene.apply(delta, scenes.SETTINGS.performance)
+    split = split_environment(scene.scene, device)
+    random = np.random.default_rng(2).random((COUNT, 6), np.float32)
+    lights = wp.zeros(COUNT, dtype=wp.uint32, device=device)
+    values = wp.zeros(COUNT, dtype=wp.vec3, device=device)
+    wp.launch(draw, COUNT, [scene.scene, split, wp.vec3(*position), wp.array2d(random, device=device)],
+              [lights, values], device=device)
+    return lights.numpy(), values.numpy().astype(np.float64), split
+
+
+def test_packing(device):
+    """Keep kind and index, and both numbers to half a step of 65536, inside (0, 1)."""
+    u = np.random.default_rng(1).random((4096, 2), np.float32)
+    u[0], u[1] = 0.0, np.float32(1.0 - 2.0**-24)
+    ids = wp.zeros(4096, dtype=wp.vec2i, device=device)
+    places = wp.zeros(4096, dtype=wp.vec2, device=device)
+    wp.launch(pack, 4096, [wp.array(u, dtype=wp.vec2, device=device)], [ids, places], device=device)
+    np.testing.assert_array_equal(ids.numpy(), np.stack([1 + np.arange(4096) % 3, np.arange(4096) * 1000], 1))
+    np.testing.assert_allclose(places.numpy(), u, atol=0.51 / 65536)
+    assert 0 < places.numpy().min() and places.numpy().max() < 1
+
+
+@pytest.mark.parametrize("background", [0.0, sunny_world()], ids=["lamps", "with world"])
+def test_chances_are_frequencies(device, background):
+    """Draw every light as often as the chance says that comes with it."""
+    lamps = [scenes.lamp("POINT", 10.0, scenes.place(z=2.0)), scenes.lamp("POINT", 50.0, scenes.place(x=3.0, z=1.0)),
+             scenes.lamp("SUN", 2.0), scenes.lamp("SUN", 5.0, angle=0.1)]
+    lights, values, _ = drawn(scenes.delta({}, [], {}, lamps, background), device)
+    for light in np.unique(lights)[:8]:
+        mine = lights == light
+        chance = values[mine, 0][0]
+        np.testing.assert_allclose(mine.mean(), chance, atol=4 * np.sqrt(chance / COUNT))
+    suns = {int(light) & 0xFFFF for light in np.unique(lights) if light >> 30 == 1}
+    assert suns == {0, 1, 2, 3}
+
+
+def test_irradiance_of_candidates(device):
+    """Integrate candidates to the irradiance of a sun, a sphere and a world's patch together."""
+    lamps = [scenes.lamp("SUN", 3.0, scenes.place(z=1.0), angle=0.4),
+             scenes.lamp("POINT", 100.0, scenes.place(z=2.0), radius=0.5, soft_falloff=False)]
+    lights, values, split = drawn(scenes.delta({}, [], {}, lamps, sunny_world()), device)
+    sphere = 100.0 / (4 * np.pi**2 * 0.25) * np.pi * (0.5 / 2.0) ** 2
+    cosine = 0.9 / np.linalg.norm([0.3, 0.2, 0.9])
+    np.testing.assert_allclose(values[:, 2].mean(), 3.0 + sphere + split.power * cosine, rtol=0.02)
+
+
+def test_nothing_is_drawn_without_lights(device):
+    """Return no candidate where nothing emits."""
+    lights, values, _ = drawn(scenes.delta({}, [], {}), device)
+    assert not lights.any() and not values.any()
