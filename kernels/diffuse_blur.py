@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Spatial half of the diffuse indirect light's denoiser: a separable blur where the mean is short (method 7.6).
+
+The radius falls by one pixel a frame, so that after a few frames nothing is blurred any more.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .diffuse_temporal import DiffuseHistory
+from .filter_weights import pixel_plane, plane_weight, smooth_normal_weight
+from .gbuffer import GBuffer
+from .long_mean import pack_mean, unpack_mean
+from .packing import from_half, rgb, rgba, to_half, unpack_normal
+from .view import SKY_DEPTH, View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Frames from which on a mean is no longer replaced by what is shown of it: detail comes back the sooner.
+FEEDBACK_FRAMES = wp.constant(4.0)
+# How far the radius of a blurred neighbour is felt [px].
+DILATION = wp.constant(2)
+
+
+@wp.func
+def radius_of(length: float, radius: int) -> int:
+    """Return the blur of a pixel with so many frames in its mean [px]."""
+    return wp.max(radius - int(wp.max(length, 0.0) + 0.5), 0)
+
+
+@wp.func
+def blur_radius(
+    state: wp.array[wp.vec4h], width: int, height: int, pixel: int, radius: int,
+) -> int:
+    """Return the radius [px] at a pixel: its own, or half of a close neighbour's, so that blurs end softly."""
+    own = radius_of(float(state[pixel][0]), radius)
+    x = pixel % width
+    y = pixel // width
+    around = int(0)
+    # Lengths of -1 (the world, no light known) ask for no blur around them.
+    for k in range(4):
+        i = wp.clamp(x + wp.where(k < 2, 2 * k - 1, 0) * DILATION, 0, width - 1)
+        j = wp.clamp(y + wp.where(k < 2, 0, 2 * k - 5) * DILATION, 0, height - 1)
+        length = float(state[j * width + i][0])
+        if length >= 0.0:
+            around = wp.max(around, radius_of(length, radius))
+    return wp.max(own, around // 2)
+
+
+@wp.func
+def tap_factor(
+    gbuffer: GBuffer, q: int, offset: int, radius: int, normal: wp.vec3,
+) -> float:
+    """Return the weight of a tap by its normal and by how far it is."""
+    t = float(offset) / float(radius + 1)
+    return smooth_normal_weight(wp.dot(normal, unpack_normal(gbuffer.normal[q]))) * (1.0 - t * t)
+
+
+@wp.kernel
+def blur_diffuse_x(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    width: int,
+    height: int,
+    radius: int,
+    history: DiffuseHistory,
+    # Out:
+    blurred_out: wp.array[wp.vec4h],
+):
+    """Blur the mean along rows (method 7.6); banded over pixels.
+
+    28 bytes a pixel: 20 read (depth 4, mean 8, state 8), 8 written; where there is something to blur 24 of each pixel
+    within the radius (cached).
+
+    In detail:
+        first: Of the band.
+        radius: Largest [px].
+        history: This frame's means.
+        blurred_out: Irradiance / pi; w = radius [px], -1 where nothing is known.
+    """
+    pixel = first + wp.tid()
+    out = wp.vec4(0.0, 0.0, 0.0, -1.0)
+    if gbuffer.depth[pixel] < SKY_DEPTH:
+        reach = blur_radius(history.state, width, height, pixel, radius)
+        length = float(history.state[pixel][0])
+        centre = unpack_mean(history.irradiance[pixel])
+        if length >= 0.0:
+            out = rgba(centre, float(reach))
+        if reach > 0:
+            plane = pixel_plane(views[0], gbuffer, width, pixel)
+            normal = unpack_normal(gbuffer.normal[pixel])
+            x = pixel % width
+            sum = wp.vec3(0.0, 0.0, 0.0)
+            total = float(0.0)
+            offset = wp.max(-reach, -x)
+            end = wp.min(reach, width - 1 - x)
+            while offset <= end:
+                q = pixel + offset
+                w = plane_weight(plane, offset, 0, gbuffer.depth[q])
+                if w > 0.0 and float(history.state[q][0]) >= 0.0:
+                    w *= tap_factor(gbuffer, q, offset, reach, normal)
+                    sum += unpack_mean(history.irradiance[q]) * w
+                    total += w
+                offset += 1
+            if total > 1.0e-6:
+                out = rgba(sum / total, float(reach))
+    blurred_out[pixel] = to_half(out)
+
+
+@wp.kernel
+def blur_diffuse_y(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    width: int,
+    height: int,
+    radius: int,
+    blurred: wp.array[wp.vec4h],
+    # Out:
+    history_out: DiffuseHistory,
+    irradiance_out: wp.array[wp.vec4h],
+):
+    """Blur along columns, and keep the result as the mean while that is short (method 7.6); banded over pixels.
+
+    20 bytes a pixel: 12 read (depth 4, light 8), 8 written; where there is something to blur 8 more written, and 16
+    read of each pixel within the radius (cached).
+
+    In detail:
+        first: Of the band.
+        radius: Largest [px].
+        blurred: As blur_diffuse_x writes it.
+        history_out: This frame's means.
+        irradiance_out: Irradiance / pi; w = 1 where light is known, else 0.
+    """
+    pixel = first + wp.tid()
+    centre = from_half(blurred[pixel])
+    out = rgba(rgb(centre), wp.where(centre[3] >= 0.0, 1.0, 0.0))
+    surface = gbuffer.depth[pixel] < SKY_DEPTH
+    reach = int(centre[3])
+    if centre[3] < 0.0 and surface:
+        reach = radius
+    if surface and reach > 0:
+        plane = pixel_plane(views[0], gbuffer, width, pixel)
+        normal = unpack_normal(gbuffer.normal[pixel])
+        y = pixel // width
+        sum = wp.vec3(0.0, 0.0, 0.0)
+        total = float(0.0)
+        offset = wp.max(-reach, -y)
+        end = wp.min(reach, height - 1 - y)
+        while offset <= end:
+            q = pixel + offset * width
+            value = from_half(blurred[q])
+            w = plane_weight(plane, 0, offset, gbuffer.depth[q])
+            if w > 0.0 and value[3] >= 0.0:
+                w *= tap_factor(gbuffer, q, offset, reach, normal)
+                sum += rgb(value) * w
+                total += w
+            offset += 1
+        if total > 1.0e-6:
+            out = rgba(sum / total, 1.0)
+            length = float(history_out.state[pixel][0])
+            if length >= 0.0 and length < FEEDBACK_FRAMES:
+                history_out.irradiance[pixel] = pack_mean(rgb(out))
+    irradiance_out[pixel] = to_half(out)
