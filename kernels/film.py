@@ -19,6 +19,8 @@ class Film:
     """Sum of radiance and alpha"""
     color_rest: wp.array[wp.vec4]
     """What rounding has kept from `color` (Kahan 1965)"""
+    squares: wp.array[float]
+    """Sum of squared samples, mean of the three channels: tells their variance"""
     normal: wp.array[wp.vec4]
     """Sum of normals; w = number of samples with a surface"""
     position: wp.array[wp.vec4]
@@ -35,6 +37,24 @@ class Film:
     """Of them, left out because they were not finite"""
     overruns: wp.array[float]
     """Rays that met too many transparent layers"""
+
+
+@wp.func
+def mean_square(c: wp.vec4) -> float:
+    """Return the mean of the three channels' squares."""
+    return (c[0] * c[0] + c[1] * c[1] + c[2] * c[2]) / 3.0
+
+
+@wp.func
+def film_samples(film: Film, pixel: int) -> float:
+    """Return how many samples went into a pixel's sums."""
+    return float(film.samples[pixel]) - film.rejected[pixel]
+
+
+@wp.func
+def film_mean(film: Film, pixel: int) -> wp.vec4:
+    """Return a pixel's mean colour and alpha; 0 without samples."""
+    return (film.color[pixel] - film.color_rest[pixel]) / wp.max(film_samples(film, pixel), 1.0)
 
 
 @wp.kernel
@@ -54,6 +74,7 @@ def accumulate_samples(
     pixel = first_pixel + local
     color = film_out.color[pixel]
     rest = film_out.color_rest[pixel]
+    squares = film_out.squares[pixel]
     rejected = float(0.0)
     overruns = float(0.0)
     for sample in range(sample_count):
@@ -65,10 +86,12 @@ def accumulate_samples(
             total = color + y
             rest = (total - color) - y
             color = total
+            squares += mean_square(value)
         else:
             rejected += 1.0
     film_out.color[pixel] = color
     film_out.color_rest[pixel] = rest
+    film_out.squares[pixel] = squares
     film_out.samples[pixel] = film_out.samples[pixel] + sample_count
     film_out.rejected[pixel] = film_out.rejected[pixel] + rejected
     film_out.overruns[pixel] = film_out.overruns[pixel] + overruns
@@ -114,6 +137,6 @@ def resolve_color(
 ):
     """Divide the sums by the number of samples that went into them."""
     pixel = wp.tid()
-    c = (film.color[pixel] - film.color_rest[pixel]) / wp.max(float(film.samples[pixel]) - film.rejected[pixel], 1.0)
+    c = film_mean(film, pixel)
     alpha = wp.where(transparent == 1, wp.clamp(c[3], 0.0, 1.0), 1.0)
     picture_out[pixel] = wp.vec4(wp.max(c[0], 0.0), wp.max(c[1], 0.0), wp.max(c[2], 0.0), alpha)

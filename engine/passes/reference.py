@@ -87,6 +87,7 @@ class FilmBuffers:
         extra = pixel_count if passes else 1
         buffers.color = _vectors(pixel_count, wp.vec4, device)
         buffers.color_rest = _vectors(pixel_count, wp.vec4, device)
+        buffers.squares = _vectors(pixel_count, float, device)
         buffers.samples = _vectors(pixel_count, int, device)
         # Counted as floats: Warp's sum of an array takes no integers.
         buffers.rejected = _vectors(pixel_count, float, device)
@@ -101,8 +102,8 @@ class FilmBuffers:
     def clear(self) -> None:
         """Forget all samples."""
         for name in (
-            "color", "color_rest", "samples", "rejected", "overruns", "normal", "position", "uv", "depth", "emission",
-            "environment",
+            "color", "color_rest", "squares", "samples", "rejected", "overruns", "normal", "position", "uv", "depth",
+            "emission", "environment",
         ):
             getattr(self.film, name).zero_()
 

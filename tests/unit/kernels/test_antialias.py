@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of temporal anti-aliasing: exact at rest, sharp in motion, without trails; and of the debug views' colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.pixel_filter import filter_table
+from burnish.engine.settings import PixelFilter
+from burnish.kernels import antialias, debug_colors
+from burnish.kernels.antialias import Accumulation
+from burnish.kernels.view import View
+
+W, H = 48, 32
+TABLE = filter_table(PixelFilter.BLACKMAN_HARRIS, 1.5)
+ALL_TAPS = 15
+
+
+def jitter_of(frame: int) -> np.ndarray:
+    """Return an even sequence of offsets [px] distributed as the pixel filter."""
+    u = (0.5 + np.array([0.7548776662466927, 0.5698402909980532]) * frame) % 1.0
+    return np.interp(u, np.linspace(0.0, 1.0, len(TABLE)), TABLE)
+
+
+def centers() -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixels' centres: x and y, [H, W] each."""
+    y, x = np.mgrid[0:H, 0:W] + 0.5
+    return x, y
+
+
+class Frames:
+    """Runs frames of W x H pixels through the kernel."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.frame = -1
+        self.buffers = [self._make(), self._make()]
+
+    def _make(self) -> Accumulation:
+        a = Accumulation()
+        a.color = wp.zeros(W * H, dtype=wp.vec4, device=self.device)
+        a.samples = wp.zeros(W * H, dtype=wp.uint16, device=self.device)
+        return a
+
+    def add(self, color: np.ndarray, *, rest: int, motion: np.ndarray | tuple = (0.0, 0.0), light_age: int = 1 << 20,
+            depth: np.ndarray | float = 1.0, taps: np.ndarray | int = ALL_TAPS, jitter: tuple = (0.0, 0.0),
+            restart: int = 0, enabled: int = 1) -> np.ndarray:
+        """Average one more frame [H, W, 4] and return the picture."""
+        self.frame += 1
+        row = np.zeros(1, View.numpy_dtype())
+        row["rest"], row["light_age"], row["restart"], row["jitter"] = rest, light_age, restart, jitter
+        row["frame"] = self.frame
+        x, y = centers()
+        position = (np.stack([x, y], -1) - np.broadcast_to(np.asarray(motion), (H, W, 2))).astype(np.float32)
+        old, new = self.buffers[1 - self.frame % 2], self.buffers[self.frame % 2]
+        inputs = [
+            wp.array(row, dtype=View, device=self.device),
+            wp.array(color.reshape(-1, 4).astype(np.float16), dtype=wp.vec4h, device=self.device),
+            wp.array(np.broadcast_to(depth, (H, W)).astype(np.float32).ravel(), dtype=float, device=self.device),
+            wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
+            wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
+        ]
+        wp.launch(antialias.antialias, W * H, [0, *inputs, old, W, H, enabled], [new], device=self.device)
+        return new.color.numpy().reshape(H, W, 4)
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Return how many frames each pixel counts as, [H, W]."""
+        return self.buffers[self.frame % 2].samples.numpy().reshape(H, W)
+
+
+def opaque(gray: np.ndarray) -> np.ndarray:
+    """Return gray values [H, W] as opaque colours."""
+    return np.stack([gray, gray, gray, np.ones_like(gray)], -1)
+
+
+def checker(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return a pattern of squares of 2 x 2 pixels, 0.1 and 0.9."""
+    return np.where((np.floor(x / 2) + np.floor(y / 2)) % 2 == 0, 0.1, 0.9)
+
+
+def filtered(pattern: Callable, shift: float, samples: int = 48) -> np.ndarray:
+    """Return the pattern under the exact pixel filter, [H, W]: a grid of its quantiles."""
+    x, y = centers()
+    quantiles = np.interp((np.arange(samples) + 0.5) / samples, np.linspace(0.0, 1.0, len(TABLE)), TABLE)
+    return np.mean([pattern(x + dx - shift, y + dy) for dx in quantiles for dy in quantiles], 0)
+
+
+def test_rest_is_the_exact_pixel_filter(device):
+    """Give the plain mean of frames at rest: that is the pixel filter, sharper than anything rectified."""
+    frames, total = Frames(device), np.zeros((H, W))
+    x, y = centers()
+    for k in range(256):
+        j = jitter_of(k)
+        color = checker(x + j[0], y + j[1])
+        total += color.astype(np.float16)
+        picture = frames.add(opaque(color), rest=k, restart=int(k == 0), jitter=tuple(j))
+    np.testing.assert_allclose(picture[..., 0], total / 256, atol=2e-6)
+    # Discrepancy of 256 points of the sequence, and of the grid.
+    np.testing.assert_allclose(picture[..., 0], filtered(checker, 0.0), atol=0.02)
+    assert (frames.samples == 256).all()
+
+
+@pytest.mark.parametrize("step", [0.37, 0.5, 1.0])
+def test_pan_keeps_fine_texture(device, step):
+    """Keep at least 80 % of the exact filter's contrast of a checker that pans by parts of a pixel."""
+    frames = Frames(device)
+    x, y = centers()
+    for k in range(30):
+        j = jitter_of(k)
+        picture = frames.add(
+            opaque(checker(x + j[0] - step * k, y + j[1])), rest=0, motion=(step, 0.0), restart=int(k == 0),
+            jitter=tuple(j))
+    # Pixels whose history has come in over the edge of the picture are left out.
+    inner = (slice(4, -4), slice(int(30 * step) + 4 if step < 1.0 else 34, -4))
+    exact = filtered(checker, step * 29)[inner]
+    got = picture[..., 0][inner]
+    exact, got = exact - exact.mean(), got - got.mean()
+    contrast = (got * exact).sum() / (exact * exact).sum()
+    print(f"step {step}: contrast {contrast:.3f}, residual {(got - contrast * exact).std() / exact.std():.3f}")
+    assert 0.8 <= contrast <= 1.1
+
+
+def test_coming_to_rest_fades_what_motion_left(device):
+    """Count the picture of motion as four frames: its error fades as 1 / n and the first frames do not jump."""
+    frames = Frames(device)
+    rng = np.random.default_rng(1)
+    for k in range(40):
+        noise = opaque(0.5 + 0.1 * rng.standard_normal((H, W)))
+        moving = frames.add(noise, rest=0, restart=int(k == 0))
+    for k in range(1, 65):
+        noise = opaque(0.5 + 0.1 * rng.standard_normal((H, W)))
+        resting = frames.add(noise, rest=k)
+        if k <= 4:
+            # Noise grows by a quarter at most when the weights change (see FIRST_REST_SAMPLES).
+            assert resting[..., 0].std() < 1.35 * moving[..., 0].std()
+    assert (frames.samples == 68).all()
+    assert resting[..., 0].std() < 0.1 / np.sqrt(64) * 1.1
+
+
+def test_light_edit_is_seen_at_once(device):
+    """Leave at most 2 % of a lamp's light 8 frames after it went off, with everything else at rest."""
+    frames = Frames(device)
+    for k in range(60):
+        frames.add(opaque(np.full((H, W), 0.8)), rest=k, restart=int(k == 0))
+    for age in range(8):
+        picture = frames.add(opaque(np.zeros((H, W))), rest=age, light_age=age)
+    assert picture[..., :3].max() < 0.02 * 0.8
+
+
+def test_nothing_trails_behind_a_mover(device):
+    """Show the background within 1 % as soon as a bright square has left it, and the square undimmed."""
+    frames = Frames(device)
+    x, _ = centers()
+    for k in range(16):
+        j = jitter_of(k)
+        front = (x + j[0] >= k) & (x + j[0] < k + 12)
+        was_front = (x + j[0] >= k - 1) & (x + j[0] < k + 11)
+        picture = frames.add(
+            opaque(np.where(front, 2.0, 0.1)), rest=0, restart=int(k == 0), jitter=tuple(j),
+            motion=np.stack([np.where(front, 1.0, 0.0), np.zeros((H, W))], -1), depth=np.where(front, 1.0, 5.0),
+            taps=np.where(front | ~was_front, ALL_TAPS, 0))
+    row = picture[H // 2, :, 0]
+    np.testing.assert_allclose(row[:13], 0.1, rtol=0.01)
+    np.testing.assert_allclose(row[18:25], 2.0, rtol=0.01)
+
+
+def test_disocclusion_takes_no_history(device):
+    """Start anew where no tap shows the same surface, from this frame's samples alone."""
+    frames = Frames(device)
+    for k in range(4):
+        frames.add(opaque(np.full((H, W), 5.0)), rest=0, restart=int(k == 0))
+    picture = frames.add(opaque(np.full((H, W), 0.25)), rest=0, taps=0)
+    np.testing.assert_allclose(picture[..., 0], 0.25, rtol=1e-6)
+    assert (frames.samples == 1).all()
+
+
+def test_switched_off_and_restart_show_this_frame_alone(device):
+    """Copy the frame where anti-aliasing is off or nothing before is valid."""
+    frames = Frames(device)
+    color = opaque(np.random.default_rng(2).random((H, W)))
+    frames.add(opaque(np.ones((H, W))), rest=0, restart=1)
+    for options in ({"enabled": 0, "rest": 5}, {"restart": 1, "rest": 0}):
+        picture = frames.add(color, **options)
+        assert (picture == color.astype(np.float16).astype(np.float32)).all()
+
+
+def test_alpha_is_averaged_too(device):
+    """Average the alpha of a jittered edge at rest, and keep it in 0..1 in motion."""
+    frames = Frames(device)
+    for k in range(8):
+        cover = np.full((H, W), float(k % 2))
+        picture = frames.add(np.stack([cover, cover, cover, cover], -1), rest=k, restart=int(k == 0))
+    np.testing.assert_allclose(picture, 0.5, atol=1e-6)
+    for k in range(8):
+        x, _ = centers()
+        cover = (np.floor(x - 0.37 * k) % 3 == 0).astype(float)
+        picture = frames.add(np.stack([cover, cover, cover, cover], -1), rest=0, motion=(0.37, 0.0))
+        assert picture.min() >= 0.0 and picture[..., 3].max() <= 1.0
+
+
+def test_motion_averages_noise_without_bias(device):
+    """Keep the mean of noise below display white within 1 %, with a fifth of its deviation or less, in motion."""
+    frames, means = Frames(device), []
+    rng = np.random.default_rng(4)
+    for k in range(60):
+        picture = frames.add(
+            opaque(rng.uniform(0.2, 0.8, (H, W))), rest=0, motion=(0.37, -0.21), restart=int(k == 0))
+        means.append(picture[..., 0].mean())
+    assert abs(np.mean(means[10:]) - 0.5) < 0.005
+    assert picture[..., 0].std() < 0.35 * 0.6 / np.sqrt(12)
+
+
+def test_a_wrong_position_stays_outside(device):
+    """Take no history from positions that are not finite, and edge pixels for those outside of the picture."""
+    frames = Frames(device)
+    frames.add(opaque(np.ones((H, W))), rest=0, restart=1)
+    for motion in (np.nan, np.inf, 1e6, -1e6):
+        picture = frames.add(opaque(np.full((H, W), 0.5)), rest=0, motion=(motion, 0.0))
+        assert np.isfinite(picture).all() and picture.max() <= 1.0
+
+
+@wp.kernel
+def draw_colors(x: wp.array[float], heat_out: wp.array[wp.vec3], signed_out: wp.array[wp.vec3],
+                hash_out: wp.array[wp.vec3]):
+    """Evaluate all colours of debug views."""
+    i = wp.tid()
+    heat_out[i] = debug_colors.heat(x[i])
+    signed_out[i] = debug_colors.signed_color(x[i])
+    hash_out[i] = debug_colors.hash_color(i - 1)
+
+
+def test_debug_colors_tell_numbers_apart(device):
+    """Make larger numbers lighter, signs red and blue, and identities different, all within 0..1."""
+    x = np.concatenate([np.linspace(-2.0, 2.0, 998), [np.nan, np.inf]]).astype(np.float32)
+    out = [wp.zeros(1000, dtype=wp.vec3, device=device) for _ in range(3)]
+    wp.launch(draw_colors, 1000, [wp.array(x, dtype=float, device=device)], out, device=device)
+    heat, signed, hashed = (a.numpy() for a in out)
+    for colors in (heat, signed, hashed):
+        assert np.isfinite(colors).all() and colors.min() >= 0.0 and colors.max() <= 1.0
+    luminance = heat[:998] @ np.array([0.2126, 0.7152, 0.0722])
+    inside = (x[:998] >= 0.0) & (x[:998] <= 1.0)
+    assert (np.diff(luminance[inside]) > 0.0).all() and (heat[998] == 0.0).all() and (heat[999] == 1.0).all()
+    assert signed[0, 2] > signed[0, 0] and signed[997, 0] > signed[997, 2]
+    assert (hashed[0] == 0.0).all() and len(np.unique(hashed[1:].round(3), axis=0)) > 980
