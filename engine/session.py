@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Session: one scene on one device, seen by one camera, gathered on one film.
+"""A Session: one scene on one device, seen by one camera, drawn by one of the integrators.
 
 update() takes what changed in the scene, configure() takes settings and camera, step() adds samples, read() gives
 pictures. Not thread-safe: one thread at a time. Knows nothing of Blender.
@@ -18,7 +18,7 @@ from ..kernels import film
 from ..kernels.paths import Options
 from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
-from .errors import BurnishError, InvalidScene
+from .errors import InvalidScene
 from .frame_data import frame_row
 from .passes.reference import FilmBuffers, ReferencePass
 from .pixel_filter import filter_table
@@ -29,9 +29,15 @@ from .warmup import warm_up
 
 __all__ = ["PASSES", "Session", "SessionStats"]
 
+LIGHT_PASSES = ("Diffuse Direct", "Diffuse Indirect", "Diffuse Color")
+"""Given by the real-time integrator only"""
+
+GEOMETRY_SAMPLES = 16
+"""Samples a pixel of the passes that tell of the first surface, where the real-time integrator makes the picture"""
+
 PASSES = {
     "Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
-    "Object Index": 1, "Material Index": 1,
+    "Object Index": 1, "Material Index": 1, "Diffuse Direct": 3, "Diffuse Indirect": 3, "Diffuse Color": 3,
 }
 """Channels of each picture that read() gives."""
 
@@ -78,6 +84,9 @@ class Session:
         self._camera: CameraData | None = None
         self._sampling_report = Report()
         self._kept_options: tuple[tuple, Options] | None = None
+        self._realtime = None
+        self.timed = False
+        """Measure every section of real-time frames (slower: each is waited for)"""
 
     @property
     def report(self) -> Report:
@@ -105,7 +114,12 @@ class Session:
             structure=scene.structures.description, times=dict(scene.times, **delta.extra.get("times", {})))
         self.stats.device_bytes = self._memory()
         self._set_frame()
-        self.reset()
+        changes = scene.changes
+        if self._realtime is not None and changes.replaced:
+            self._realtime.restart()
+        elif self._realtime is not None:
+            self._realtime.note(moved=changes.moved, lit=changes.lit)
+        self._forget_film()
 
     def configure(
         self, settings: RenderSettings, camera: CameraData, width: int, height: int,
@@ -125,30 +139,37 @@ class Session:
             InvalidScene: The size or region is impossible.
             OutOfDeviceMemory: The film does not fit.
         """
-        if settings.sampling.integrator != Integrator.REFERENCE:
-            raise BurnishError("The real-time integrator is not in this version; choose the integrator 'reference'.")
         crop = crop or (0, 0, width, height)
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
         change = change_since(settings, self.settings)
-        extra = any(name != "Combined" for name in passes)
-        key = (crop[2] * crop[3], extra)
+        extra = any(name not in ("Combined", *LIGHT_PASSES) for name in passes)
+        key = (crop[2] * crop[3], extra, settings.sampling.integrator)
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
         if (camera, width, height, crop) != (self._camera, *getattr(self, "_size", (0, 0, None))):
             change |= Change.RESTART
         self.settings, self._camera, self._size = settings, camera, (width, height, crop)
         self._set_frame()
-        if change & Change.RESIZE:
-            with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
+        with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
+            if change & Change.RESIZE:
                 self._film = None
                 self._film = FilmBuffers.make(key[0], extra, self.device)
                 self._pass.resize(key[0], extra)
-            self._key = key
+                self._key = key
+            if settings.sampling.integrator == Integrator.REALTIME:
+                from .realtime import Realtime
+
+                self._realtime = self._realtime or Realtime(self.device)
+                self._realtime.configure(settings, crop[2], crop[3], any(name in LIGHT_PASSES for name in passes))
+                if change & Change.RESTART:
+                    self._realtime.note_camera()
+            else:
+                self._realtime = None
         if change & Change.RESTART:
             self._filter = wp.array(
                 filter_table(settings.film.pixel_filter, settings.film.filter_width), dtype=float, device=self.device)
-            self.reset()
+            self._forget_film()
         return change
 
     def step(self, samples: int = 1, should_stop: Callable[[], bool] | None = None) -> int:
@@ -161,18 +182,38 @@ class Session:
         """
         assert self._film is not None and self._frame is not None, "configure() comes before step()"
         start = time.perf_counter()
-        target = self._pass.samples_done + samples
+        stop = should_stop or (lambda: False)
         with device_errors("the path states"):
-            self._pass.render(
-                self._scene.scene, self._frame, self._options(), self._filter, self._film, target,
-                should_stop or (lambda: False))
+            if self._realtime is not None:
+                self._realtime.timed = self.timed
+                self._realtime.step(self._scene, self._frame, self._options, samples, stop)
+            else:
+                self._trace(self._pass.samples_done + samples, stop)
         self.stats.times["sampling"] = self.stats.times.get("sampling", 0.0) + time.perf_counter() - start
-        return self._pass.samples_done
+        return self.samples_done
+
+    def _trace(self, target: int, stop: Callable[[], bool]) -> None:
+        self._pass.render(
+            self._scene.scene, self._frame, self._options(), self._filter, self._film, target, stop)
 
     @property
     def samples_done(self) -> int:
-        """Return how many samples every pixel has."""
-        return self._pass.samples_done
+        """Return how many samples every pixel has; real-time frames count as one each."""
+        return self._pass.samples_done if self._realtime is None else self._realtime.samples_done
+
+    @property
+    def frame_times(self) -> dict[str, float]:
+        """Return the milliseconds of each section of the last timed real-time frame."""
+        return {} if self._realtime is None else self._realtime.pipeline.times
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Return the sections that real-time frames of this scene do without, with the reason."""
+        return {} if self._realtime is None else self._realtime.pipeline.skipped
+
+    def counts(self) -> dict[str, int]:
+        """Return what the last real-time frame counted: rays by kind, cells, probes. Waits for the device."""
+        return {} if self._realtime is None else self._realtime.pipeline.counts()
 
     @property
     def rays(self) -> int:
@@ -180,7 +221,12 @@ class Session:
         return self._pass.rays
 
     def reset(self) -> None:
-        """Forget all samples."""
+        """Forget all samples and all history."""
+        if self._realtime is not None:
+            self._realtime.restart()
+        self._forget_film()
+
+    def _forget_film(self) -> None:
         if self._film is not None:
             self._film.clear()
         self._pass.reset()
@@ -189,6 +235,7 @@ class Session:
     def close(self) -> None:
         """Give the device's memory back."""
         self._film = None
+        self._realtime = None
         self._kept_options = None
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
@@ -199,7 +246,7 @@ class Session:
         Raises:
             KeyError: No such pass, or configure() was not told that it would be read.
         """
-        if name not in PASSES or (name != "Combined" and not self._film.passes):
+        if name not in PASSES or (name not in ("Combined", *LIGHT_PASSES) and not self._film.passes):
             raise KeyError(name)
         start = time.perf_counter()
         width, height = self._size[2][2], self._size[2][3]
@@ -209,6 +256,8 @@ class Session:
 
     def resolve(self) -> wp.array:
         """Return the Combined picture on the device: vec4 [h * w], valid until the next call."""
+        if self._realtime is not None:
+            return self._realtime.picture()
         wp.launch(
             film.resolve_color, self._film.pixel_count,
             [self._film.film, int(self.settings.film.transparent)], [self._film.picture], device=self.device)
@@ -219,6 +268,12 @@ class Session:
         buffers = self._film.film
         if name == "Combined":
             return self.resolve().numpy()
+        if name in LIGHT_PASSES:
+            if self._realtime is None:
+                raise KeyError(name)
+            return self._realtime.pipeline.light_pass(name).numpy()
+        if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
+            self._trace(GEOMETRY_SAMPLES, lambda: False)
         counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
         uv = buffers.uv.numpy()
         seen = uv[:, 2:3] / counts

@@ -11,12 +11,20 @@ import enum
 from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
+from .debug_views import DEBUG_VIEWS
+
 __all__ = [
+    "CacheKey",
+    "CacheSettings",
     "Change",
+    "DebugSettings",
+    "DenoiserSettings",
     "Device",
+    "DirectLightSettings",
     "FilmSettings",
     "Integrator",
     "PixelFilter",
+    "ProbeSettings",
     "RenderSettings",
     "SamplingSettings",
     "LightPathSettings",
@@ -32,7 +40,7 @@ class Integrator(enum.StrEnum):
     REFERENCE = "reference"
     """Unbiased path tracing: slow and right; what every other integrator is measured against."""
     REALTIME = "realtime"
-    """Two-level radiance caching (not in this version)."""
+    """Screen probes over a hash-grid radiance cache: a picture every frame, path traced at rest."""
 
 
 class Device(enum.StrEnum):
@@ -44,6 +52,15 @@ class Device(enum.StrEnum):
     """The processor, on all its cores."""
     CUDA = "cuda"
     """The first CUDA device; an error where there is none."""
+
+
+class CacheKey(enum.StrEnum):
+    """What tells the cells of the radiance cache apart, besides place and level of detail."""
+
+    NORMAL = "normal"
+    """The face of a cube that the normal points through: one cell for each side of a surface."""
+    DIRECTION = "direction"
+    """The ray's direction, as published: walls in a corner share cells."""
 
 
 class PixelFilter(enum.StrEnum):
@@ -70,9 +87,10 @@ class Change(enum.IntFlag):
 
 
 def setting(default: Any, help: str, *, low: Any = None, high: Any = None, soft_high: Any = None, unit: str = "",
-            label: str = "") -> Any:
-    """Declare one setting with its help, hard range, soft upper limit, unit and label."""
-    info = {"help": help, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "label": label}
+            label: str = "", choices: dict[str, str] | None = None) -> Any:
+    """Declare one setting: help, hard range, soft upper limit, unit, label; `choices` of a text with their help."""
+    info = {"help": help, "low": low, "high": high, "soft_high": soft_high, "unit": unit, "label": label,
+            "choices": choices}
     return field(default=default, metadata=info)
 
 
@@ -85,10 +103,13 @@ def setting_info(settings_class: type) -> dict[str, Field]:
 class SamplingSettings:
     """How many samples, and with which random numbers."""
 
-    integrator: Integrator = setting(Integrator.REFERENCE, "How the picture is made")
-    samples: int = setting(128, "Samples per pixel of a final render", low=1, high=1 << 24, soft_high=4096)
+    integrator: Integrator = setting(Integrator.REALTIME, "How the picture is made, in viewports and final renders")
+    samples: int = setting(
+        128, "Samples per pixel of a final render; frames with the realtime integrator", low=1, high=1 << 24,
+        soft_high=4096)
     viewport_samples: int = setting(
-        1024, "Samples per pixel after which the viewport rests (0: never)", low=0, high=1 << 24, soft_high=4096)
+        1024, "Samples per pixel, or frames, after which a viewport in which nothing moves rests (0: never)", low=0,
+        high=1 << 24, soft_high=4096)
     time_limit: float = setting(0.0, "Stop a final render after this time (0: no limit)", low=0.0, high=1e9,
                                 soft_high=3600.0, unit="s")
     seed: int = setting(0, "Seed of the random numbers: the same seed gives the same picture", low=0,
@@ -144,6 +165,119 @@ class PerformanceSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProbeSettings:
+    """Screen probes: where diffuse light from all around is gathered (GI-1.0, section 3)."""
+
+    spawn_tile: int = setting(
+        16, "One probe of 64 rays for each square of so many pixels a frame: half of it costs four times the rays and "
+        "brings finer, less noisy indirect light", low=8, high=64, unit="px")
+    guiding: bool = setting(
+        True, "Send half of the rays where light came from before: less noise from small or distant light, at little "
+        "cost")
+    persistence: bool = setting(
+        True, "Keep probes that leave the picture until they come back: less noise while the view turns, for memory "
+        "alone")
+    filtering: bool = setting(
+        True, "Smooth neighbouring probes where they see the same points: less noise for little time, softer indirect "
+        "shadows")
+    specular_rays: bool = setting(
+        True, "Send some of the rays into the reflection, so that the cache has cells where reflections look: slightly "
+        "more noise in diffuse light")
+    contact_detail: bool = setting(
+        True, "Find indirect light and shadow between probes from nearby pixels: detail in corners and contacts for a "
+        "search around every pixel")
+    energy_exact: bool = setting(
+        True, "Weigh all directions by their solid angle, so that no light is lost or made. Off: the published "
+        "estimator, for study; as fast")
+    history: int = setting(
+        32, "Most frames that a probe averages over while something moves: more has less noise and follows changes of "
+        "light more slowly, at no cost", low=1, high=1024, unit="frames")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheSettings:
+    """The hash-grid radiance cache: light at points that rays hit (GI-1.0, section 4)."""
+
+    cell_pixels: float = setting(
+        32.0, "Size of a cell as seen on the screen: smaller cells show finer shadows in indirect light, with more "
+        "noise and more cells to keep", low=1.0, high=256.0, soft_high=64.0, unit="px")
+    minimum_cell: float = setting(
+        0.0, "Smallest cell (0: 1/500 of the scene's diagonal, at most 0.1 m): keeps views from near by from filling "
+        "the cache", low=0.0, high=1e6, soft_high=1.0, unit="m")
+    capacity: int = setting(
+        20, "Room for two to the power of this many cells: one more doubles the memory; too few make indirect light "
+        "noisy, never dark", low=10, high=26)
+    bounces: int = setting(
+        0, "Bounces of light through the cache (0: all of them): as fast, darker interiors with fewer", low=0, high=64)
+    bounce_share: float = setting(
+        0.3, "Share of the hits from which light is followed further each frame: costs rays; less makes changes of "
+        "light take more frames to spread", low=0.0, high=1.0)
+    sample_cap: int = setting(
+        64, "Most samples that a cell averages over while something moves (the paper: 16): more has less noise and "
+        "follows changes of light more slowly, at no cost", low=1, high=65536)
+    lifetime: int = setting(
+        50, "Frames after which a cell that no ray meets is freed: longer keeps light that comes back into view, for "
+        "memory", low=2, high=100000, unit="frames")
+    key: CacheKey = setting(CacheKey.NORMAL, "What tells cells apart; as fast either way")
+    scan_all: bool = setting(
+        True, "Search the whole bucket. Off: stop at the first hole, as published, and lose cells behind it; slightly "
+        "faster")
+    level_blend: bool = setting(
+        True, "Blend adjacent levels of detail, so that nothing pops in motion, for slightly more cells")
+    cone_test: bool = setting(
+        True, "Shade hits closer than a cell themselves: sharp contacts and no leaks, for more noise there")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectLightSettings:
+    """Direct light at visible surfaces by resampled importance sampling (Bitterli et al. 2020)."""
+
+    candidates: int = setting(
+        4, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
+        "each for some time", low=1, high=64, soft_high=16)
+    temporal_reuse: int = setting(
+        8, "Frames' worth of candidates taken over from the frame before (0: none): less noise in motion at little "
+        "cost, but noise that moves in patches", low=0, high=64)
+    half_rate: bool = setting(
+        True, "Trace every other pixel's shadow ray while something moves: half the shadow rays, softer shadows in "
+        "motion")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoiserSettings:
+    """Filters of direct and diffuse light, and anti-aliasing."""
+
+    direct_iterations: int = setting(
+        3, "Passes of the edge-stopping filter on direct light (0: none): each doubles its reach, for less noise, "
+        "blurred shadows and some time", low=0, high=6)
+    direct_history: int = setting(
+        32, "Most frames averaged in direct light while something moves: more has less noise and shadows that lag "
+        "more, at no cost", low=1, high=1024, unit="frames")
+    diffuse_history: int = setting(
+        64, "Most frames averaged in indirect light while something moves: more has less noise and lags more, at no "
+        "cost", low=1, high=1024, unit="frames")
+    diffuse_radius: int = setting(
+        8, "Largest blur of indirect light, where there is no history: less noise where surfaces come into view, for "
+        "some time", low=0, high=32, unit="px")
+    antialiasing: bool = setting(
+        True, "Average jittered frames: smooth edges for little time. Off shows each frame alone")
+    rest_frames: int = setting(
+        256, "Frames at rest after which the time goes into path-traced samples (0: at once): fewer show noise sooner "
+        "and reflections earlier", low=0, high=1 << 20, unit="frames")
+    path_traced_rest: bool = setting(
+        True, "Go over to path tracing at rest, so that the picture becomes exact. Off: the filtered picture stays")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DebugSettings:
+    """What to look at."""
+
+    view: str = setting(
+        "", "Intermediate result shown instead of the picture: for finding out where noise or an error comes from; "
+        "costs one more pass", choices=DEBUG_VIEWS)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RenderSettings:
     """Everything that decides the picture, besides the scene and the camera."""
 
@@ -152,6 +286,11 @@ class RenderSettings:
     light_paths: LightPathSettings = field(default_factory=LightPathSettings)
     film: FilmSettings = field(default_factory=FilmSettings)
     performance: PerformanceSettings = field(default_factory=PerformanceSettings)
+    probes: ProbeSettings = field(default_factory=ProbeSettings)
+    cache: CacheSettings = field(default_factory=CacheSettings)
+    direct_light: DirectLightSettings = field(default_factory=DirectLightSettings)
+    denoiser: DenoiserSettings = field(default_factory=DenoiserSettings)
+    debug: DebugSettings = field(default_factory=DebugSettings)
 
 
 def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
@@ -162,6 +301,9 @@ def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
     if (new.sampling.seed, new.sampling.integrator) != (old.sampling.seed, old.sampling.integrator):
         change |= Change.RESTART
     if new.light_paths != old.light_paths or new.film != old.film:
+        change |= Change.RESTART
+    realtime = ("probes", "cache", "direct_light", "denoiser")
+    if any(getattr(new, name) != getattr(old, name) for name in realtime):
         change |= Change.RESTART
     textures = ("texture_budget", "texture_size_limit")
     if any(getattr(new.performance, name) != getattr(old.performance, name) for name in textures):

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The names of all intermediate results that can be looked at instead of the picture, in the frame's order.
+
+A table of text, so that panels and the command line know the names before anything is rendered; each pass of the
+real-time frame has the same names in its `debug_views` (a test compares them).
+"""
+
+from __future__ import annotations
+
+__all__ = ["DEBUG_VIEWS"]
+
+DEBUG_VIEWS: dict[str, str] = {
+    "gbuffer.normal": "Shading normal in world space, -1..1 shown as 0..1",
+    "gbuffer.albedo": "Diffuse albedo: the share of light that the surface reflects in all directions",
+    "gbuffer.specular": "Specular albedo: the share of light that the surface mirrors, for this view",
+    "gbuffer.roughness": "Roughness of reflections, widened where normals vary inside a pixel: black is a mirror",
+    "gbuffer.depth": "Distance from the camera",
+    "gbuffer.motion": "Motion in pixels since the frame before: red to the right, green upwards, grey at rest",
+    "gbuffer.instance": "One colour for each instance of an object",
+    "gbuffer.disocclusion": "Pixels that the frame before did not show: what is bright starts without history",
+    "probes.radiance": "What each screen probe sees: its 8x8 directions, drawn into its tile",
+    "probes.tiles": "Which probe each tile uses: one colour for each probe",
+    "probes.age": "Frames since each tile's probe last sent rays: white after 64; bright probes live on old light",
+    "probes.count": "Updates in each probe's mean, white at 1024: the more, the less noise and the slower to change",
+    "probes.irradiance": "Indirect diffuse light from the probes alone, before it is denoised",
+    "probes.contact": "Light and shadow found between the probes from nearby pixels",
+    "cache.cells": "Cells of the radiance cache: one colour for each",
+    "cache.levels": "Level of detail of the cache's cells: each level is twice as large",
+    "cache.light": "Light kept in the cache at what the camera sees",
+    "cache.samples": "Samples averaged in each cell of the cache: black has none",
+    "direct.diffuse": "Direct diffuse light of this frame, without albedo, before it is denoised",
+    "direct.specular": "Direct specular light of this frame, without albedo, before it is denoised",
+    "direct.light": "Which light each pixel chose in this frame: one colour for each light",
+    "direct.weight": "Weight of each pixel's chosen light: evenly grey where the choice was good",
+    "direct.visibility": "Shadow rays of this frame: white reached the light, black did not",
+    "direct.history": "Frames averaged in direct light: black where it started anew, white from 1024 on",
+    "direct.variance": "Error left in the mean of direct light, relative to it: white from 100 % on",
+    "diffuse.history": "Frames averaged in indirect light: black where it started anew, white from 1024 on",
+    "diffuse.blur": "Radius of the blur of indirect light: white at the largest, black where history replaces it",
+    "composite.direct": "Emission and direct light with the surfaces' colours",
+    "composite.indirect": "Indirect light with the surfaces' colours",
+    "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
+    "rest.weight": "Share of path-traced samples in the picture at rest: white is all path traced",
+}
+"""Help by name; a name is its pass and what it shows"""

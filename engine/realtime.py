@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real-time integrator: a picture every frame, and at rest the way from filtered frames to path-traced samples.
+
+Two regimes (rest is counted in frames since anything changed): up to `DenoiserSettings.rest_frames` the pipeline's
+frames, whose filters shrink as their histories grow; from then on every step adds a sample of the reference
+integrator to a film of its own, blended in by estimated error (passes/rest.py), so that the limit is its picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from ..kernels.paths import Options
+from .device_scene import DeviceScene
+from .passes.reference import FilmBuffers, ReferencePass
+from .passes.rest import RestBlend
+from .pipeline import Pipeline
+from .pixel_filter import filter_table
+from .settings import RenderSettings
+from .view_data import ViewTracker
+
+__all__ = ["Realtime"]
+
+
+class Realtime:
+    """Pipeline, view and rest regime for one picture size."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.views = ViewTracker(device)
+        self.pipeline = Pipeline(device)
+        self.reference = ReferencePass(device)
+        self.timed = False
+        self._film: FilmBuffers | None = None
+        self._blend = RestBlend(device)
+        self._settings: RenderSettings | None = None
+        self._size = (0, 0)
+        self._light_passes = False
+        self._moved = self._lit = False
+        self._blended = False
+
+    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: bool) -> None:
+        """Allocate for settings and a size [px]; a change of either forgets all history.
+
+        Args:
+            settings: All settings.
+            width: Of the rendered region [px].
+            height: Of the rendered region [px].
+            light_passes: Whether the light passes will be read.
+        """
+        if (settings, width, height, light_passes) == (self._settings, *self._size, self._light_passes):
+            return
+        only_debug = self._settings is not None and replace(self._settings, debug=settings.debug) == settings
+        if only_debug and (width, height, light_passes) == (*self._size, self._light_passes):
+            self._settings = settings
+            self.pipeline.show(settings.debug.view)
+            return
+        self._settings, self._size, self._light_passes = settings, (width, height), light_passes
+        self._quantiles = filter_table(settings.film.pixel_filter, settings.film.filter_width)
+        self._filter = wp.array(self._quantiles, dtype=float, device=self.device)
+        self._film = None
+        self.pipeline.configure(settings, width, height, light_passes)
+        self._blend.resize(width, height)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the next frame is the first."""
+        self.views.restart()
+        self.pipeline.reset()
+        self._forget_samples()
+
+    def note(self, *, moved: bool, lit: bool) -> None:
+        """Take in that the scene has changed since the last frame: objects moved, light or materials were edited."""
+        self._moved |= moved
+        self._lit |= lit
+        self._forget_samples()
+
+    def note_camera(self) -> None:
+        """Take in that the camera has changed."""
+        self._forget_samples()
+
+    def _forget_samples(self) -> None:
+        self.frames = 0
+        self.reference.reset()
+        self._blended = False
+        if self._film is not None:
+            self._film.clear()
+
+    @property
+    def samples_done(self) -> int:
+        """Return frames and path-traced samples since anything changed."""
+        return self.frames + self.reference.samples_done
+
+    def step(
+        self, scene: DeviceScene, camera: np.ndarray, options: Callable[[], Options], samples: int,
+        should_stop: Callable[[], bool],
+    ) -> None:
+        """Render up to `samples` frames, or path-traced samples once the picture has been at rest for long."""
+        denoiser = self._settings.denoiser
+        limit = denoiser.rest_frames if denoiser.path_traced_rest else 1 << 62
+        target = self.samples_done + samples
+        while self.samples_done < target and not should_stop():
+            if self.frames >= max(limit, 1) and not self._settings.debug.view:
+                self._trace(scene, camera, options(), target, should_stop)
+                return
+            self._frame(scene, camera)
+
+    def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
+        settings = self._settings
+        self.views.advance(
+            camera, moved=self._moved, lit=self._lit, exposure=settings.film.exposure,
+            transparent=settings.film.transparent,
+            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
+        self._moved = self._lit = False
+        self.pipeline.frame(scene, self.views, timed=self.timed)
+        self.frames += 1
+
+    def _trace(
+        self, scene: DeviceScene, camera: np.ndarray, options: Options, target: int, should_stop: Callable[[], bool],
+    ) -> None:
+        count = self._size[0] * self._size[1]
+        if self._film is None:
+            self._film = FilmBuffers.make(count, False, self.device)
+            self.reference.resize(count, False)
+        self.reference.render(
+            scene.scene, camera, options, self._filter, self._film, target - self.frames, should_stop)
+        self._blended = True
+
+    def picture(self) -> wp.array:
+        """Return the newest picture: vec4 [h * w], as the film shows it."""
+        if self._blended and self.reference.samples_done > 0:
+            return self._blend.resolve(self._film, self.pipeline.picture, self._settings.film.transparent)
+        return self.pipeline.picture
