@@ -99,9 +99,9 @@ class FrameGraph:
         for array in arrays:
             self._steps.append(_Step(self._section, action=array.zero_))
 
-    def call(self, action: Callable[[], None]) -> None:
+    def call(self, action: Callable[[], None], name: str = "call") -> None:
         """Record a host call that only issues device work (a scan): it must be fit for capture."""
-        self._steps.append(_Step(self._section, action=action))
+        self._steps.append(_Step(self._section, action=action, kernel=name))
 
     def replay(self, timed: bool = False) -> None:
         """Run the frame; `timed` measures every section (and on CUDA waits for each)."""

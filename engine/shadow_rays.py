@@ -91,4 +91,4 @@ def launch_queued(graph: FrameGraph, kernel: wp.Kernel, inputs: list, queue: wp.
         else:
             run_bands([launch.launch for launch in launches])
 
-    graph.call(replay)
+    graph.call(replay, kernel.key)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .debug_colors import hash_color, heat
+from .debug_colors import hash_color, heat, signed_color
+from .geometry_math import mean_component
 from .packing import from_half, rgb, rgba
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .view import View
@@ -57,11 +58,16 @@ def show_probes(
 def show_exposed(
     first: int,
     # In:
+    difference: int,
     views: wp.array[View],
     values: wp.array[wp.vec4h],
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
-    """Show exposed colours."""
+    """Show exposed colours; signed ones by their mean: red where light is added, blue where it is taken away."""
     pixel = first + wp.tid()
-    picture_out[pixel] = rgba(rgb(from_half(values[pixel])) / views[0].exposure, 1.0)
+    value = rgb(from_half(values[pixel]))
+    color = value / views[0].exposure
+    if difference == 1:
+        color = signed_color(mean_component(value))
+    picture_out[pixel] = rgba(color, 1.0)

@@ -46,7 +46,7 @@ LEAST_SHARE = wp.constant(0.25)
 
 
 @wp.kernel
-def smooth_probes(
+def find_neighbors(
     first: int,
     # In:
     grid: ProbeGrid,
@@ -56,9 +56,33 @@ def smooth_probes(
     # Out:
     updates_out: ProbeUpdates,
 ):
+    """Find one of the probes one spawn tile apart that lie on the same surface as an update."""
+    index = first + wp.tid()
+    update = index // 9
+    i = index % 9
+    slot = updates_out.slot[update]
+    updates_out.neighbor[index] = -1
+    if slot < 0 or i == 4:
+        return
+    position = pool.position[slot]
+    width = probe_cell(views[0], project(views[0].camera, position)[2])
+    tile = neighbour_tile(grid, updates_out.tile[update], (i % 3 - 1) * grid.side, (i // 3 - 1) * grid.side)
+    updates_out.neighbor[index] = related_probe(
+        grid, pool, tiles, tile, position, unpack_normal(pool.normal[slot]), width)
+
+
+@wp.kernel
+def smooth_probes(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    pool: ProbePool,
+    # Out:
+    updates_out: ProbeUpdates,
+):
     """Average a cell with the neighbours' cells of the same direction where they see the same point.
 
-    3 x 3 probes one spawn tile apart. The nearer of the two distances judges, so an occluder near either side stops it.
+    The nearer of the two distances judges, so an occluder near either side stops it.
     """
     index = first + wp.tid()
     update = index // CELLS
@@ -70,24 +94,24 @@ def smooth_probes(
     weight = float(1.0)
     if grid.filtered == 1:
         position = pool.position[slot]
-        normal = unpack_normal(pool.normal[slot])
-        direction = to_frame(normal, cell_center(index % CELLS))
-        width = probe_cell(views[0], project(views[0].camera, position)[2])
+        direction = to_frame(unpack_normal(pool.normal[slot]), cell_center(index % CELLS))
         share = SMOOTH_UPDATES / (SMOOTH_UPDATES + pool.count[slot])
         i = int(0)
         while i < 9:
-            tile = neighbour_tile(
-                grid, updates_out.tile[update], (i % 3 - 1) * grid.side, (i // 3 - 1) * grid.side)
-            other = related_probe(grid, pool, tiles, tile, position, normal, width)
-            if other >= 0 and i != 4:
+            other = updates_out.neighbor[update * 9 + i]
+            if other >= 0:
                 local = to_local(unpack_normal(pool.normal[other]), direction)
                 if local[2] > 0.0:
                     value = from_half(pool.radiance[other * CELLS + cell_of(local)])
                     near = wp.min(value[3], own[3])
                     seen = pool.position[other] + direction * near - position
                     if near >= FAR or wp.dot(seen, direction) > SMOOTH_COSINE * wp.length(seen):
-                        total = total + rgb(value) * share
-                        weight = weight + share
+                        w = share
+                        # On one side alone, a neighbour carries the light's gradient in.
+                        if updates_out.neighbor[update * 9 + 8 - i] < 0:
+                            w = share * share * share
+                        total = total + rgb(value) * w
+                        weight = weight + w
             i = i + 1
     updates_out.filtered[index] = to_half(rgba(total / weight, own[3]))
 
@@ -136,8 +160,13 @@ def project_bands(
     if slot < 0:
         return
     total = wp.vec3(0.0, 0.0, 0.0)
+    nearest = float(FAR)
     for cell in range(CELLS):
-        total = total + rgb(from_half(updates.filtered[update * CELLS + cell])) * weights[cell * BANDS + band]
+        value = from_half(updates.filtered[update * CELLS + cell])
+        total = total + rgb(value) * weights[cell * BANDS + band]
+        nearest = wp.min(nearest, value[3])
+    if band == 0:
+        pool_out.clear[slot] = nearest
     if grid.exact == 1:
         residual = pool_out.residual[slot * BANDS + band]
         mean = rgb(residual)
@@ -151,7 +180,7 @@ def project_bands(
             age = age + 1.0
         pool_out.residual[slot * BANDS + band] = rgba(mean, age)
         total = total + mean * wp.min(age / RESIDUAL_UPDATES, 1.0)
-    pool_out.irradiance[slot * BANDS + band] = to_half(rgba(total, 0.0))
+    pool_out.irradiance[slot * BANDS + band] = rgba(total, 0.0)
 
 
 @wp.func
@@ -160,7 +189,7 @@ def probe_irradiance(pool: ProbePool, slot: int, n: wp.vec3) -> wp.vec3:
     basis = band_basis(to_local(unpack_normal(pool.normal[slot]), n))
     total = wp.vec3(0.0, 0.0, 0.0)
     for band in range(BANDS):
-        total = total + rgb(from_half(pool.irradiance[slot * BANDS + band])) * basis[band]
+        total = total + rgb(pool.irradiance[slot * BANDS + band]) * basis[band]
     return total
 
 
@@ -215,13 +244,15 @@ def blend_around(
         if tile >= 0:
             slot = tiles.probe[tile]
             if slot >= 0:
-                w = surface_weight(pool, slot, s, cell)
+                w = screen_weight(view, pool.center[slot], x, y, reach)
+                if w > 0.0:
+                    w = w * surface_weight(pool, slot, s, cell)
                 if w == 0.0:
                     slot = tiles.other[tile]
                     if slot >= 0:
-                        w = surface_weight(pool, slot, s, cell)
-                if w > 0.0:
-                    w = w * screen_weight(view, pool.center[slot], x, y, reach)
+                        w = screen_weight(view, pool.center[slot], x, y, reach)
+                        if w > 0.0:
+                            w = w * surface_weight(pool, slot, s, cell)
                 if w > 0.0:
                     total = add_probe(pool, slot, n, grid.exact, w, total)
     return total

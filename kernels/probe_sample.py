@@ -147,9 +147,11 @@ def make_rays(
             cell = even_cell(ray, parity)
             dimension = cell
         else:
-            stratum = sample_pair(seed, wp.uint32(turn), DIMENSION_STRATUM + ray)[0]
+            stratum = hashed_unit(seed, wp.uint32(DIMENSION_STRATUM + ray))
             cell = guided_cell(updates_out, update, total, (float(ray - EVEN) + stratum) / float(wp.max(guided, 1)))
-            dimension = DIMENSION_GUIDED + ray
+            # One sequence for all: those of a cell follow each other, so they are spread well over it.
+            dimension = DIMENSION_GUIDED
+            turn = ray
     else:
         if updates_out.covered[update] < CELLS or updates_out.count[update] <= 0.0:
             # No cell may stay empty.

@@ -59,7 +59,7 @@ def separated(pool: ProbePool, slot: int, point: wp.vec3) -> bool:
     """
     offset = point - pool.center[slot]
     distance = wp.length(offset)
-    if distance < 1.0e-9:
+    if SEPARATION * distance <= pool.clear[slot] or distance < 1.0e-9:
         return False
     local = to_local(unpack_normal(pool.normal[slot]), offset / distance)
     seen = float(pool.radiance[slot * CELLS + cell_of(local)][3])

@@ -60,10 +60,12 @@ class ProbePool:
     """pack_normal of the surface's geometric normal, the axis of the map"""
     radiance: wp.array[wp.vec4h]
     """[slot * 64 + cell] exposed radiance; w = distance to what is seen [m], at most MISS_DISTANCE"""
-    irradiance: wp.array[wp.vec4h]
+    irradiance: wp.array[wp.vec4]
     """[slot * 10 + band] coefficients of exposed irradiance / pi in the frame about the normal"""
     residual: wp.array[wp.vec4]
     """[slot * 10 + band] what the cells' means miss of each coefficient (probe_light.py); w = updates in this mean"""
+    clear: wp.array[float]
+    """Least distance in `radiance` [m]: nothing stands nearer"""
     count: wp.array[float]
     """Updates that the mean in `radiance` is over"""
     noise: wp.array[float]
@@ -136,5 +138,7 @@ class ProbeUpdates:
     """[update * 64 + cell] mean number of rays that the cell gets in an update"""
     cell: wp.array[wp.uint8]
     """[update * 64 + ray] cell in which a ray counts, or NO_CELL"""
+    neighbor: wp.array[int]
+    """[update * 9 + i] probes of the 3 x 3 spawn tiles that may smooth this one, -1 none"""
     filtered: wp.array[wp.vec4h]
     """[update * 64 + cell] radiance smoothed over neighbouring probes"""

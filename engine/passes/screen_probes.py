@@ -11,7 +11,16 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ...kernels import probe_blend, probe_debug, probe_gather, probe_light, probe_map, probe_place, probe_sample
+from ...kernels import (
+    probe_blend,
+    probe_contact,
+    probe_debug,
+    probe_gather,
+    probe_light,
+    probe_map,
+    probe_place,
+    probe_sample,
+)
 from ...kernels import probe_spawn as spawn
 from ...kernels.gbuffer import GBuffer
 from ...kernels.probe_rays import ProbeRays
@@ -35,16 +44,16 @@ CELL_STEPS = 64
 """Steps a side with which the cells' integrals are tabulated"""
 
 POOL = {"position": (wp.vec3, 1), "center": (wp.vec3, 1), "normal": (wp.uint32, 1),
-        "radiance": (wp.vec4h, CELLS), "irradiance": (wp.vec4h, BANDS), "residual": (wp.vec4, BANDS),
-        "count": (float, 1), "noise": (float, 1), "used": (int, 1), "updated": (int, 1), "born": (int, 1),
-        "updates": (int, 1), "tile": (int, 1)}
+        "radiance": (wp.vec4h, CELLS), "irradiance": (wp.vec4, BANDS), "residual": (wp.vec4, BANDS),
+        "clear": (float, 1), "count": (float, 1), "noise": (float, 1), "used": (int, 1), "updated": (int, 1),
+        "born": (int, 1), "updates": (int, 1), "tile": (int, 1)}
 TILES = {"seed": (int, 1), "claim": (wp.int64, 1), "claim_other": (wp.int64, 1), "probe": (int, 1), "other": (int, 1),
          "empty": (int, 1), "rank": (int, 1), "empty_list": (int, 1)}
 UPDATES = {"own": (int, 1), "free": (int, 1), "rank": (int, 1), "tile": (int, 1), "pixel": (int, 1), "slot": (int, 1),
            "fresh": (int, 1), "position": (wp.vec3, 1), "error": (float, 1), "normal": (wp.uint32, 1),
            "specular": (int, 1), "count": (float, 1), "change": (float, 1), "covered": (int, 1),
            "previous": (wp.vec4h, CELLS), "guide": (float, CELLS), "expected": (float, CELLS),
-           "cell": (wp.uint8, CELLS), "filtered": (wp.vec4h, CELLS)}
+           "cell": (wp.uint8, CELLS), "neighbor": (int, 9), "filtered": (wp.vec4h, CELLS)}
 RAYS = {"origin": (wp.vec3, CELLS), "direction": (wp.vec3, CELLS), "t_max": (float, CELLS), "probe": (int, CELLS),
         "radiance": (wp.vec4, CELLS)}
 """Fields of the buffers, their types, and how many entries each element has"""
@@ -89,6 +98,7 @@ class ScreenProbePass:
         self.updates = self._allocate(ProbeUpdates, UPDATES, self.update_count)
         self.rays = self._allocate(ProbeRays, RAYS, self.update_count)
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
+        self.contact = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
         self.weights = wp.zeros(CELLS * BANDS, dtype=float, device=self.device)
         self.cosines = wp.zeros(CELLS, dtype=float, device=self.device)
         launch(probe_map.integrate_cells, CELLS, [CELL_STEPS, grid.exact], [self.weights, self.cosines], self.device)
@@ -147,12 +157,20 @@ class ScreenProbePass:
         with graph.section("probe blend"):
             graph.launch(probe_blend.detect_changes, self.update_count, [grid, self.rays], [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
-            graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, views, tiles, pool], [updates])
+            graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
+            graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, pool], [updates])
             graph.launch(probe_light.project_bands, self.update_count * BANDS,
                          [grid, updates, self.rays, self.weights], [pool])
         with graph.section("probe interpolation"):
             graph.launch(probe_light.interpolate_probes, self.width * self.height,
                          [grid, views, gbuffer, tiles, pool], [self.irradiance])
+        if self.settings.contact_detail:
+            with graph.section("contact detail"):
+                graph.launch(probe_contact.add_contact, self.width * self.height,
+                             [grid, views, gbuffer, tiles, pool, previous_color, reprojection],
+                             [self.irradiance, self.contact])
+        else:
+            graph.skip("contact detail", "switched off")
         return self.irradiance
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
@@ -165,7 +183,9 @@ class ScreenProbePass:
                 graph.launch(probe_debug.show_probes, count, [int(maps[name]), self.grid, views, self.tiles, self.pool],
                              [picture])
             else:
-                graph.launch(probe_debug.show_exposed, count, [views, self.irradiance], [picture])
+                signed = int(name == "probes.contact")
+                values = self.contact if signed else self.irradiance
+                graph.launch(probe_debug.show_exposed, count, [signed, views, values], [picture])
 
     def stats(self) -> dict[str, int]:
         """Return counts of the last frame (waits for the device): probes in the pool and on screen, updates by kind."""

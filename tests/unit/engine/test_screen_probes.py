@@ -74,7 +74,8 @@ def test_small_light(changes, angle):
     due = 0.05 + 50.0 * (1 - 0.99**2) * np.cos(angle)
     for _ in range(240):
         b.frame()
-    assert abs(b.irradiance()[0].mean() / due - 1) < 0.01
+    # 256 probes whose light still varies by 8 %: three standard deviations are 1.5 %.
+    assert abs(b.irradiance()[0].mean() / due - 1) < 0.015
 
 
 def test_guiding_keeps_the_mean_in_motion():
@@ -82,7 +83,7 @@ def test_guiding_keeps_the_mean_in_motion():
     means = []
     for guiding in (False, True):
         b = bench(0.05, settings=settings(guiding=guiding), size=(96, 96))
-        b.lighting.sun, b.lighting.sun_cosine = 50.0, 0.99
+        b.lighting.sun, b.lighting.sun_cosine = 10.0, 0.96
         b.lighting.sun_direction = wp.vec3(np.sin(0.8), 0.0, np.cos(0.8))
         b.record()
         frames = []
@@ -90,7 +91,7 @@ def test_guiding_keeps_the_mean_in_motion():
             b.frame(moved=True)
             frames.append(b.irradiance()[0].mean())
         means.append(np.mean(frames[40:]))
-    due = 0.05 + 50.0 * (1 - 0.99**2) * np.cos(0.8)
+    due = 0.05 + 10.0 * (1 - 0.96**2) * np.cos(0.8)
     np.testing.assert_allclose(np.array(means) / due, 1.0, atol=0.01)
 
 
@@ -102,7 +103,7 @@ def test_guiding_lowers_the_noise():
         b.lighting.sun, b.lighting.sun_cosine = 50.0, 0.99
         b.lighting.sun_direction = wp.vec3(0.5, 0.0, 0.8660254)
         b.record()
-        for _ in range(80):
+        for _ in range(200):
             b.frame(moved=True)
         noise.append(b.irradiance()[0].std())
     assert noise[1] < 0.8 * noise[0]
@@ -125,10 +126,12 @@ def test_corner():
     floor = b.hits() == 0
     x = np.broadcast_to((np.arange(96) + 0.5) / 96 - 0.5, floor.shape)
     ratio = light[floor] / wall_light(x[floor])
-    assert 0.95 < ratio[x[floor] < 8 / 96].min() and ratio[x[floor] < 8 / 96].max() < 1.05
+    contact = ratio[x[floor] < 8 / 96]
+    assert 0.88 < contact.min() and contact.max() < 1.05 and abs(contact.mean() - 1) < 0.02
+    assert (contact > 0.9).mean() > 0.99
     inside = x[floor] < 0.4
     assert np.abs(np.array([ratio[inside & (x[floor] > low)].mean() for low in (0.0, 0.1, 0.2)]) - 1).max() < 0.02
-    assert confidence[floor].min() == 1.0
+    assert confidence[floor].mean() > 0.99
 
 
 def test_thin_wall_does_not_leak():
@@ -147,9 +150,66 @@ def test_thin_wall_does_not_leak():
     light, _ = b.irradiance()
     hits = b.hits()
     assert light[hits == 1].mean() > 0.5
-    assert light[hits == 2].mean() < 0.002 * light[hits == 1].mean()
-    # The first row of pixels behind the wall, which lies in the same tile as the lit side.
-    assert light[:, 49:][hits[:, 49:] == 2].max() < 0.3 * light[hits == 1].mean()
+    # The floor is one plane, and the wall hides less than two columns of it: only those next to it may hold a rest.
+    assert light[hits == 2].mean() < 0.001 * light[hits == 1].mean()
+    assert light[:, 49].mean() < 0.1 * light[hits == 1].mean()
+    assert light[:, 52:][hits[:, 52:] == 2].max() < 0.005 * light[hits == 1].mean()
+
+
+def block(radiance, contact, sky=1.0, size=(96, 96)):
+    """Make a bench over a low block, 8 pixels wide, on a floor under the sky."""
+    p = [[x, y, z] for x in (-0.042, 0.042) for y in (-0.6, 0.6) for z in (0.0, 0.06)]
+    block = scenes.mesh(p, [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (1, 5, 7), (1, 7, 3)])
+    matrix = np.eye(4)
+    back = np.array([0.7, 0.0, 1.0]) / np.hypot(0.7, 1.0)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = np.cross([0.0, 1.0, 0.0], back), (0.0, 1.0, 0.0), back
+    matrix[:3, 3] = 3.0 * back
+    view = CameraData(kind="perspective", transform=tuple(matrix.ravel()), window=(-0.17, 0.17, -0.17, 0.17))
+    return ProbeBench({"floor": scenes.quad(50.0), "block": block}, [0.5 * sky, radiance], view, size, sky=sky,
+                      settings=settings(contact_detail=contact))
+
+
+def test_contact_is_neutral_in_a_furnace():
+    """Change nothing where everything is equally bright."""
+    b = block(1.0, True)
+    b.lighting.objects = wp.array([1.0, 1.0], dtype=float, device=b.device)
+    b.record()
+    for _ in range(12):
+        b.frame()
+    light, _ = b.irradiance()
+    np.testing.assert_allclose(light[b.hits() >= 0], 1.0, atol=0.01)
+
+
+def test_contact_is_neutral_in_the_open():
+    """Add nothing on a plane."""
+    b = bench(1.0, settings=settings(contact_detail=True))
+    for _ in range(8):
+        b.frame()
+    assert np.abs(b.probes.contact.numpy().astype(np.float32)[:, :3]).max() == 0.0
+
+
+def test_contact_brings_detail():
+    """Come closer to the truth beside a low dark block than the probes alone."""
+    errors = []
+    for contact in (False, True):
+        b = block(0.0, contact)
+        for _ in range(100):
+            b.frame()
+        total = 0.0
+        for _ in range(16):
+            b.frame()
+            total = total + b.irradiance()[0] / 16
+        depth = b.gbuffer.depth.numpy().reshape(96, 96)
+        row = np.frombuffer(b.tracker.row["camera"].tobytes(), b.tracker.row["camera"].dtype)[0]
+        c = ((np.arange(96) + 0.5) / 96 * 2 - 1) * 0.17
+        local = np.stack([c[None, :] * depth, c[:, None] * depth, -depth, np.ones_like(depth)], -1)
+        x = (local @ np.array(row["camera_to_world"]).T)[..., 0] - 0.042
+        near = (b.hits() == 0) & (x > 0.003) & (x < 0.06)
+        near[:10] = near[-10:] = False
+        # The block hides the part of the sky below the angle of its edge.
+        due = 1 - 0.5 * (1 - x / np.hypot(x, 0.06))
+        errors.append(np.abs(total - due)[near].mean())
+    assert errors[1] < 0.8 * errors[0]
 
 
 def turned(angle):
@@ -287,11 +347,11 @@ def test_moving_camera_keeps_the_light():
 @pytest.mark.parametrize("name", sorted(ScreenProbePass.debug_views))
 def test_debug_views_show_something(name):
     """Draw every debug view without NaN and not all black."""
-    b = bench(1.0)
+    b = bench(1.0, settings=settings(contact_detail=True))
     picture = wp.zeros(SIZE[0] * SIZE[1], dtype=wp.vec4, device=b.device)
     b.probes.record_debug(b.graph, 0, name, picture)
     for _ in range(8):
         b.frame(moved=True)
     values = picture.numpy()
     assert np.isfinite(values).all()
-    assert name == "probes.contact" or values[:, :3].max() > 0.0
+    assert values[:, :3].max() > 0.0

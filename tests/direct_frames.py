@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames of the G-buffer and the direct light alone, for tests: what they give on average, as a picture."""
+
+import numpy as np
+import warp as wp
+from burnish.engine.device import choose_device
+from burnish.engine.device_scene import DeviceScene
+from burnish.engine.environment_split import split_environment
+from burnish.engine.frame_data import frame_row
+from burnish.engine.frame_graph import FrameGraph
+from burnish.engine.lamps import lamp_power
+from burnish.engine.motion import MotionTracker
+from burnish.engine.passes.direct_light import DirectLightPass
+from burnish.engine.passes.gbuffer import GBufferPass
+from burnish.engine.pixel_filter import filter_table
+from burnish.engine.program import ProgramBuilder
+from burnish.engine.scene import WorldData
+from burnish.engine.settings import DirectLightSettings, PixelFilter
+from burnish.engine.view_data import ViewTracker
+from burnish.kernels.packing import unpack_color
+
+from tests import scenes
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.kernel
+def unpack_colors(
+    # In:
+    packed: wp.array[wp.uint32],
+    # Out:
+    colors_out: wp.array[wp.vec3],
+):
+    """Unpack colours of the G-buffer."""
+    i = wp.tid()
+    colors_out[i] = unpack_color(packed[i])
+
+
+def local_power(scene):
+    """Return the power that the light tree was built with."""
+    lamps = scene.lamps
+    return float(lamp_power(lamps, scene.radius)[: int((lamps["kind"] != 1).sum())].sum() + scene.emitters.power.sum())
+
+
+class Frames:
+    """Renders frames of direct light of a scene."""
+
+    def __init__(self, delta, camera=None, size=8, exposure=1.0, **settings):
+        self.device = choose_device(scenes.SETTINGS.device)
+        self.scene = DeviceScene(self.device)
+        self.scene.apply(delta, scenes.SETTINGS.performance)
+        self.size, self.exposure = size, exposure
+        self.camera = camera or scenes.camera_above()
+        self.views = ViewTracker(self.device)
+        self.motion = MotionTracker(self.device)
+        self.gbuffer = GBufferPass(self.device)
+        self.direct = DirectLightPass(self.device, DirectLightSettings(**settings))
+        for each in (self.gbuffer, self.direct):
+            each.resize(size, size)
+        self.split = split_environment(self.scene.scene, self.device)
+        self.quantiles = filter_table(PixelFilter.BOX, 1.0)
+        self.graphs = []
+        self.picture = wp.zeros(size * size, dtype=wp.vec4, device=self.device)
+        self.record()
+
+    def record(self, debug=""):
+        """Record both graphs."""
+        self.graphs = []
+        for parity in (0, 1):
+            graph = FrameGraph(self.device)
+            motion = self.motion.advance(self.scene)
+            scene, filtered = self.scene.scene, self.scene.structures.has_filtered
+            current = self.gbuffer.record(graph, parity, scene, self.views.array, motion, filtered=filtered)
+            self.light = self.direct.record(
+                graph, parity, scene, self.views.array, current, self.gbuffer.previous(parity),
+                self.gbuffer.reprojection, self.split, filtered=filtered, textured=self.scene.emitters.textured,
+                local_power=local_power(self.scene))
+            if debug:
+                self.direct.record_debug(graph, parity, debug, self.picture)
+            self.graphs.append(graph)
+
+    def frame(self, moving=True):
+        """Render one frame; `moving`: as if something moved, so that nothing counts as at rest."""
+        row = frame_row(self.camera, self.size, self.size, (0, 0, self.size, self.size), 0, self.scene.origin)
+        self.views.advance(
+            row, moved=moving, lit=False, exposure=self.exposure, transparent=False,
+            filter_quantiles=self.quantiles)
+        self.graphs[self.views.parity].replay()
+
+    def light_with_colors(self):
+        """Return the frame's direct light with the surfaces' colours, float64 [h, w, 3]."""
+        gbuffer = self.gbuffer.current(self.views.parity)
+        total = 0.0
+        for light, names in ((self.light.diffuse, ("diffuse", "translucent")), (self.light.specular, ("specular",))):
+            albedo = sum(self.colors(getattr(gbuffer, name)) for name in names)
+            total = total + light.numpy().astype(np.float64)[:, :3] * albedo
+        return total.reshape(self.size, self.size, 3) / self.exposure
+
+    def colors(self, packed):
+        """Return colours of the G-buffer as numbers."""
+        colors = wp.zeros(len(packed), dtype=wp.vec3, device=self.device)
+        wp.launch(unpack_colors, len(packed), [packed], [colors], device=self.device)
+        return colors.numpy().astype(np.float64)
+
+    def mean(self, frames=256, moving=True):
+        """Return the average of that many frames' direct light, float64 [h, w, 3]."""
+        total = 0.0
+        for _ in range(frames):
+            self.frame(moving)
+            total = total + self.light_with_colors()
+        return total / frames
+
+
+def reference(delta, camera=None, size=8, samples=1024):
+    """Return the path tracer's light of one bounce, float64 [h, w, 3]."""
+    image = scenes.render(delta, camera, (size, size), samples, max_bounces=1)
+    return image[..., :3].astype(np.float64)
+
+
+def sunny_world(direction=(0.3, 0.2, 0.9), cosine=0.995, sun=200.0, sky=0.0, color=(1.0, 0.8, 0.5), resolution=256):
+    """Make a world of constant radiance with one bright round patch."""
+    builder = ProgramBuilder()
+    unit = np.asarray(direction) / np.linalg.norm(direction)
+    along = builder.vector("DOT_PRODUCT", builder.input("POSITION"), builder.combine(*map(float, unit)))
+    builder.emit(color, builder.math("GREATER_THAN", along, cosine), sun)
+    if sky:
+        builder.emit((1.0, 1.0, 1.0), 1.0, sky)
+    return WorldData(name="world", program=builder.finish(), importance_resolution=resolution)
+
+
+

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measure the real-time integrator at rest against Reference, beside Cycles with OpenImageDenoise. Run by hand.
+
+    python tests/performance/realtime_error.py SCENE.blend... [--device cuda] [--size 640 360] [--frames 1,8,64,256]
+        [--truth 4096] [--cycles 64] [--as-is] [--set cache.bounces=1] [--output out/realtime_error]
+
+Scenes are made matte (matte_copy.py) unless --as-is. The truth is Reference's picture of the same copy, kept in the
+output folder. Prints and saves a table and, for each scene, pictures side by side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+importlib.import_module("tests.conftest")  # makes `burnish` this checkout
+
+from burnish.engine.image_error import signed_difference  # noqa: E402
+
+from tests.performance.blend_scene import BlendScene  # noqa: E402
+from tests.performance.measured_session import (  # noqa: E402
+    COLUMNS,
+    LEGEND,
+    Measured,
+    compare,
+    error_cells,
+    settings_for,
+    truth_of,
+)
+from tests.performance.settings_text import parse_settings  # noqa: E402
+from tests.performance.sheets import Table, flip_map, save_sheet, tone  # noqa: E402
+
+GOALS = "Goals at 256 frames: dark 0.98..1.02, p5 >= 0.9, p95 <= 1.1, FLIP below that of Cycles."
+
+
+def measure(path: Path, options: argparse.Namespace, table: Table) -> None:
+    """Add the rows of one scene and save its pictures."""
+    size = tuple(options.size)
+    scene = BlendScene(path, size, options.device, matte=not options.as_is)
+    delta = scene.extract()
+    kept = options.output / "truth" / f"{scene.name}_{size[0]}x{size[1]}_{options.truth}{'_as_is' * options.as_is}.npy"
+    truth = truth_of(delta, scene.camera, size, options.device, options.truth, kept, options.truth_seconds)
+    panels = [(tone(truth, scene.exposure), f"{scene.name}: Reference, {options.truth} spp")]
+    maps = []
+
+    def take(label: str, picture: Any, cost: Any) -> None:
+        error = compare(truth, picture)
+        table.add(scene.name, label, cost, *error_cells(error))
+        panels.append((tone(picture, scene.exposure), f"{label}: FLIP {error.flip:.3f}"))
+        maps[:] = [(flip_map(truth, picture)[0], f"FLIP map of {label}"),
+                   (signed_difference(truth, picture), f"{label}: red brighter, blue darker by 25 %")]
+
+    measured = Measured(settings_for(options.integrator, options.device, **parse_settings(options.set)))
+    measured.load(delta)
+    measured.look(scene.camera, size)
+    done = 0
+    for count in sorted(int(text) for text in options.frames.split(",")):
+        seconds = measured.frames(count - done)
+        take(f"{options.integrator} {count}", measured.picture(), f"{seconds / (count - done) * 1e3:.2f}")
+        done = count
+    own = list(maps)
+    for line in measured.session.report.text().splitlines():
+        print("   ", line, flush=True)
+    print("   ", measured.counts(), flush=True)
+    measured.close()
+    if options.cycles:
+        scene.cycles(1, denoise=True)  # loads its kernels
+        picture, seconds = scene.cycles(options.cycles, denoise=True)
+        take(f"Cycles {options.cycles} + OIDN", picture, f"{seconds * 1e3:.0f}")
+    panels += own + maps[:1] * bool(options.cycles)
+    half = -(-len(panels) // 2)
+    save_sheet(options.output / f"{scene.name}.png", [panels[:half], panels[half:]])
+
+
+def main() -> int:
+    """Measure all scenes; one that fails is told and skipped."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 360))
+    parser.add_argument("--integrator", default="realtime")
+    parser.add_argument("--frames", default="1,8,64,256")
+    parser.add_argument("--truth", type=int, default=4096)
+    parser.add_argument("--truth-seconds", type=float, default=60.0, help="take the truth as it is after this time")
+    parser.add_argument("--cycles", type=int, default=64, help="samples of Cycles; 0: none")
+    parser.add_argument("--as-is", action="store_true", help="leave the materials as they are")
+    parser.add_argument("--set", action="append", default=[], metavar="GROUP.FIELD=VALUE")
+    parser.add_argument("--output", type=Path, default=Path("out/realtime_error"))
+    options = parser.parse_args()
+    table = Table(("scene", "picture", "ms", *COLUMNS))
+    failed = 0
+    for path in options.scenes:
+        try:
+            measure(path, options, table)
+        except Exception:  # noqa: BLE001  one bad scene must not cost the others
+            traceback.print_exc()
+            failed += 1
+    title = f"{options.integrator} at rest, {options.size[0]} x {options.size[1]}, {options.device}"
+    table.save(options.output / "error.md", title, f"{LEGEND}\nms: a frame, or Cycles' whole render. {GOALS}")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the real-time integrator's light: energy, leaks, corners, contacts, and light that goes on and off."""
+
+import pytest
+
+from tests import light_checks
+from tests.light_checks import Setup
+
+SMALL = Setup((48, 36), truth_samples=256)
+LARGE = Setup((96, 72), truth_samples=512)
+
+
+def check(result):
+    """Fail with all figures that miss their goals."""
+    missed = [f"{f.name}: {f.value:.4g} is not in {f.low:g}..{f.high:g}" for f in result[0] if not f.good]
+    assert not missed, "\n".join(missed)
+
+
+@pytest.mark.parametrize(("albedo", "tolerance"), [
+    (0.5, 0.01), pytest.param(0.8, 0.01, marks=pytest.mark.slow), pytest.param(0.9, 0.01, marks=pytest.mark.slow),
+    pytest.param(0.95, 0.02, marks=pytest.mark.slow)])
+def test_furnace(albedo, tolerance):
+    """Find e / (1 - albedo) everywhere in a closed emitting box: every bounce comes through the cache, once."""
+    check(light_checks.furnace(SMALL, albedo, 64 if albedo < 0.8 else 256, tolerance))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("albedo", "tolerance"), [(0.5, 0.01), (0.95, 0.02)])
+def test_furnace_does_not_drift(albedo, tolerance):
+    """Find the same after 10,000 frames."""
+    check(light_checks.furnace(Setup((16, 12)), albedo, 10000, tolerance))
+
+
+@pytest.mark.parametrize(("shape", "albedo"), [("plane", 0.5), ("sphere", 0.8)])
+def test_white_sky(shape, albedo):
+    """Find the albedo on convex things under a sky of radiance 1."""
+    check(light_checks.white_sky(SMALL, albedo, 48, shape))
+
+
+def test_thin_wall_keeps_light_in():
+    """Find at most 0.5 % of the lit side's light beyond a wall 2 cm thick."""
+    check(light_checks.thin_wall(LARGE, 32))
+
+
+@pytest.mark.parametrize("kept", [0, 1], ids=["none left", "a dim lamp left"])
+def test_light_goes_off_and_on(kept):
+    """Find at most 2 % of the light 12 frames after it went off, and as little missing after it came on."""
+    check(light_checks.light_switch(SMALL, 32, kept=kept))
+
+
+@pytest.mark.slow
+def test_room_corner():
+    """Find the light of Reference within 8 pixels of a room's edges."""
+    check(light_checks.room_corner(LARGE, 64))
+
+
+@pytest.mark.slow
+def test_contact():
+    """Find the light of Reference within 8 pixels of where a cube stands on a floor."""
+    check(light_checks.contact(LARGE, 64))
+
+
+@pytest.mark.slow
+def test_nothing_trails_behind_a_mover():
+    """Find the steady state 8 frames after a ball has passed."""
+    check(light_checks.mover(LARGE))
