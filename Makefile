@@ -13,7 +13,7 @@ PYTHON = .venv/bin/python
 PYTEST = $(PYTHON) -m pytest
 SCENE ?= sample_blends/gallery.blend
 OUTPUT ?= $(CURDIR)/out/gallery.png
-RENDER_ARGUMENTS ?= --size 640 360 --samples 32
+RENDER_ARGUMENTS ?= --size 640 360 --samples 32 --integrator reference
 TESTS ?=
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' blender_manifest.toml)
 WHEEL_LINUX := $(shell sed -n 's,.*"\./\(wheels/.*manylinux.*\.whl\)".*,\1,p' blender_manifest.toml)

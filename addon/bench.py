@@ -19,13 +19,15 @@ import numpy as np
 from ..engine import image_error
 from ..engine.errors import BurnishError
 from .bench_report import NoiseRow, SceneResult, format_row, save
-from .bench_store import ENGINES, Job, SceneStore
+from .bench_store import ENGINES, INTEGRATORS, OWN, Job, SceneStore
 from .cli_output import Console, diverted_output
 from .progress import format_duration
 
 __all__ = ["add_arguments", "plan_jobs", "run"]
 
-PEERS = tuple(name for name in ENGINES if name not in ("truth", "burnish"))
+PEERS = tuple(name for name in ENGINES if name != "truth" and name not in OWN)
+SAMPLES = {"reference": (64,), "realtime": (1, 8, 64, 256)}
+"""Sample counts of each integrator, or frames, unless others are asked for; the peers take the reference's"""
 TRUTH_SEEDS = (101, 202)
 NOISE_SEEDS = (11, 22)
 DEFAULT_SIZE = (640, 360)
@@ -66,8 +68,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="device of all engines")
     parser.add_argument("--size", nargs=2, type=positive, metavar=("W", "H"),
                         help=f"size in pixels; default: the reference's, else {DEFAULT_SIZE[0]} {DEFAULT_SIZE[1]}")
-    parser.add_argument("--samples", type=comma_list(int, "--samples"), default=[64], metavar="N,...",
-                        help="samples per pixel of Burnish and its peers; default: 64")
+    parser.add_argument("--integrator", choices=list(INTEGRATORS), default="reference",
+                        help="Burnish's integrator; default: reference")
+    parser.add_argument("--samples", type=comma_list(int, "--samples"), metavar="N,...",
+                        help="samples per pixel of Burnish and its peers, or Burnish's realtime frames; default: 64 "
+                             "samples, frames 1,8,64,256")
     parser.add_argument("--budgets", type=comma_list(float, "--budgets"), default=[], metavar="SECONDS,...",
                         help="also render Burnish and Cycles for these times of sampling")
     parser.add_argument("--peers", type=peer_list, default=["cycles", "cycles+oidn"], metavar="NAME,...",
@@ -88,13 +93,16 @@ def plan_jobs(arguments: argparse.Namespace) -> tuple[list[Job], list[Job], list
     """Return the jobs of one scene: the truth's halves, the rows of the table, the pictures for --noise."""
     half = max(1, arguments.truth // 2)
     truth = [] if arguments.reference else [Job(engine="truth", samples=half, seed=seed) for seed in TRUTH_SEEDS]
-    engines = ["burnish", *arguments.peers]
-    rows = [Job(engine=engine, samples=samples) for engine in engines for samples in arguments.samples]
+    own = INTEGRATORS[arguments.integrator]
+    counts = {engine: arguments.samples or SAMPLES["reference"] for engine in arguments.peers}
+    counts = {own: arguments.samples or SAMPLES[arguments.integrator]} | counts
+    engines = list(counts)
+    rows = [Job(engine=engine, samples=samples) for engine in engines for samples in counts[engine]]
     # EEVEE has no time limit.
     rows += [Job(engine=engine, samples=0, budget=budget) for engine in engines if engine != "eevee"
              for budget in arguments.budgets]
-    first = arguments.samples[0]
-    noise = [Job(engine="burnish", samples=first * factor, seed=seed) for factor in (1, 4, 16)
+    first = counts[own][0]
+    noise = [Job(engine=own, samples=first * factor, seed=seed) for factor in (1, 4, 16)
              for seed in NOISE_SEEDS] if arguments.noise else []
     return truth, rows, noise
 

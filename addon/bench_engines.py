@@ -16,7 +16,7 @@ import numpy as np
 
 from ..engine.errors import BurnishError
 from . import final
-from .bench_store import Job, source_hash
+from .bench_store import OWN, Job, source_hash
 
 __all__ = ["BenchScene", "open_scene", "read_exr", "sentence"]
 
@@ -102,6 +102,7 @@ class BenchScene:
             record |= {"source": source_hash(), "samples_done": information.samples, "device": information.device,
                        "sampling_seconds": information.seconds, "report": information.report.text(),
                        "times": {name: float(value) for name, value in getattr(stats, "times", {}).items()},
+                       "frame_times": information.frame_times, "skipped": information.skipped,
                        "triangles": int(getattr(stats, "triangles", 0)), "structure": getattr(stats, "structure", "")}
         return record
 
@@ -132,7 +133,7 @@ class BenchScene:
 
     def _configure(self, job: Job) -> None:
         """Select a job's engine and set it."""
-        if job.engine == "burnish":
+        if job.engine in OWN:
             self._configure_burnish(job)
         elif job.engine == "eevee":
             self.scene.render.engine = 'BLENDER_EEVEE'
@@ -145,7 +146,7 @@ class BenchScene:
         self.scene.render.engine = 'BURNISH'
         settings = self.scene.burnish
         settings.device = 'CUDA' if self.device.startswith("cuda") else 'CPU'
-        settings.sampling.integrator = 'REFERENCE'
+        settings.sampling.integrator = 'REALTIME' if job.engine == "realtime" else 'REFERENCE'
         settings.sampling.samples = BUDGET_SAMPLES if job.budget else job.samples
         settings.sampling.time_limit = job.budget
         settings.sampling.seed = job.seed

@@ -91,7 +91,22 @@ def scene_markdown(result: SceneResult) -> list[str]:
         lines += ["", "Where Burnish's time went [s]:", ""]
         lines += [f"- {row['label']}: " + ", ".join(f"{name} {value:.3f}" for name, value in row["times"].items())
                   for row in times]
-    return [*lines, "", *noise_markdown(result)]
+    return [*lines, "", *frame_markdown(result), *noise_markdown(result)]
+
+
+def frame_markdown(result: SceneResult) -> list[str]:
+    """Return the table of where a real-time frame's time goes, if there are any."""
+    rows = [row for row in result.rows if row.get("frame_times")]
+    if not rows:
+        return []
+    names = list(dict.fromkeys(name for row in rows for name in row["frame_times"]))
+    lines = ["Milliseconds of one real-time frame, measured section by section:", "",
+             "| render | sum | " + " | ".join(names) + " |", "|---" + "|---:" * (len(names) + 1) + "|"]
+    for row in rows:
+        times = row["frame_times"]
+        shown = [f"{times[name]:.3f}" if name in times else "" for name in names]
+        lines.append(f"| {row['label']} | {sum(times.values()):.3f} | " + " | ".join(shown) + " |")
+    return [*lines, ""]
 
 
 def noise_markdown(result: SceneResult) -> list[str]:

@@ -17,11 +17,17 @@ from typing import Any
 
 from ..engine.errors import BurnishError
 
-__all__ = ["ENGINES", "Job", "SceneStore", "file_hash", "source_hash", "write_text"]
+__all__ = ["ENGINES", "INTEGRATORS", "OWN", "Job", "SceneStore", "file_hash", "source_hash", "write_text"]
 
-ENGINES = {"truth": "Truth", "burnish": "Burnish Reference", "cycles": "Cycles", "cycles+oidn": "Cycles + OIDN",
-           "eevee": "EEVEE"}
+ENGINES = {"truth": "Truth", "burnish": "Burnish Reference", "realtime": "Burnish Realtime", "cycles": "Cycles",
+           "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
 """Engines by their names on the command line, with their names in tables"""
+
+INTEGRATORS = {"reference": "burnish", "realtime": "realtime"}
+"""Burnish's engines by its integrators"""
+
+OWN = frozenset(INTEGRATORS.values())
+"""Engines whose results depend on this package's source"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +49,8 @@ class Job:
     @property
     def label(self) -> str:
         """Name for people."""
-        amount = f"{self.budget:g} s" if self.budget else f"{self.samples} spp"
+        unit = ("frames" if self.samples != 1 else "frame") if self.engine == "realtime" else "spp"
+        amount = f"{self.budget:g} s" if self.budget else f"{self.samples} {unit}"
         return f"{ENGINES[self.engine]} {amount}" + (f" seed {self.seed}" if self.seed else "")
 
     @property
@@ -102,12 +109,12 @@ class SceneStore:
             record = json.loads(self.path(job, ".json").read_text("utf-8"))
         except (OSError, ValueError):
             return None
-        stale = job.engine == "burnish" and record.get("source") != source_hash()
+        stale = job.engine in OWN and record.get("source") != source_hash()
         return None if stale or not self.path(job, ".exr").is_file() else record
 
     def save(self, job: Job, record: dict[str, Any]) -> None:
         """Write the record of a job whose picture is complete."""
-        write_text(self.path(job, ".json"), json.dumps(record, indent=1, sort_keys=True) + "\n")
+        write_text(self.path(job, ".json"), json.dumps(record, indent=1) + "\n")
 
     def missing(self, jobs: list[Job]) -> Iterator[Job]:
         """Yield the jobs that have still to be rendered."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..engine.errors import BurnishError
-from ..engine.settings import Device, RenderSettings, SamplingSettings, setting_info
+from ..engine.settings import DebugSettings, Device, RenderSettings, SamplingSettings, setting_info
 from .cli_output import Console, diverted_output
 
 __all__ = ["main", "register", "unregister"]
@@ -24,6 +24,7 @@ __all__ = ["main", "register", "unregister"]
 EXAMPLES = """examples:
   burnish render scene.blend --output picture.png
   burnish render scene.blend --output picture.exr --size 1920 1080 --time 60
+  burnish render scene.blend --output light.png --integrator realtime --samples 64 --timings
   burnish warmup"""
 
 OPTIONS = {"integrator": "--integrator", "samples": "--samples", "time_limit": "--time", "seed": "--seed"}
@@ -104,6 +105,10 @@ def add_render(commands: Any) -> None:
     for name, flag in OPTIONS.items():
         add_setting(parser, SamplingSettings, name, flag)
     add_setting(parser, RenderSettings, "device", "--device")
+    view = setting_info(DebugSettings)["view"].metadata
+    parser.add_argument("--debug-view", choices=list(view["choices"]), metavar="NAME", default="",
+                        help=f"{view['help']}; with the realtime integrator; one of: {', '.join(view['choices'])}")
+    parser.add_argument("--timings", action="store_true", help="print where the time went")
     parser.add_argument("--verbose", action="store_true", help="show all that Blender and Warp print")
     parser.set_defaults(run=run_render)
 
@@ -119,8 +124,8 @@ def run_render(arguments: argparse.Namespace, console: Console) -> int:
 def check_render(arguments: argparse.Namespace) -> None:
     """Raise BurnishError for what can't work whatever is in the scene, before the seconds that loading bpy takes."""
     source, target = Path(arguments.scene), Path(arguments.output)
-    if arguments.integrator == "realtime":
-        raise BurnishError("The realtime integrator is not in this version; use --integrator reference.")
+    if arguments.debug_view and arguments.integrator == "reference":
+        raise BurnishError("The reference integrator has no debug views; use --integrator realtime.")
     if not source.is_file():
         raise BurnishError(f"The scene '{source}' does not exist.")
     if target.suffix.lower() not in (".exr", ".png"):

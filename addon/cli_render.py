@@ -52,7 +52,7 @@ def render_file(source: Path, target: Path, arguments: argparse.Namespace, conso
     scene = bpy.context.scene
     set_up(scene, arguments)
     start = time.perf_counter()
-    layers, information = render(scene)
+    layers, information = render(scene, arguments.debug_view)
     seconds = time.perf_counter() - start
     if target.suffix.lower() == ".exr":
         attributes = {"Software": "Burnish", "burnish:samples": information.samples, "burnish:seconds": seconds,
@@ -62,6 +62,9 @@ def render_file(source: Path, target: Path, arguments: argparse.Namespace, conso
         save_png(target, layers[0].combined, scene)
     for line in information.report.text().splitlines():
         console.print(line)
+    if arguments.timings:
+        for line in timing_lines(information):
+            console.print(line)
     height, width = layers[0].combined.shape[:2]
     console.print(f"{target} {width}x{height} {information.samples} samples {seconds:.1f} s")
     return 0
@@ -93,6 +96,8 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None:
             assign(scene, name, value)
+    if arguments.debug_view and scene.burnish.sampling.integrator != 'REALTIME':
+        raise InvalidScene("The scene's integrator has no debug views; use --integrator realtime.")
     if arguments.time_limit and arguments.samples is None:
         # A time alone means: as many samples as fit.
         assign(scene, "samples", setting_info(SamplingSettings)["samples"].metadata["high"])
@@ -121,8 +126,21 @@ def listed(names: list[str]) -> str:
     return ", ".join(f"'{name}'" for name in names) if names else "none"
 
 
-def render(scene: Any) -> tuple[list[LayerPixels], Any]:
-    """Render the current frame; return all layers and the first one's RenderInfo."""
+def timing_lines(information: final.RenderInfo) -> list[str]:
+    """Return a table of where a render's time went: seconds by stage, milliseconds by section of a real-time frame."""
+    rows = [(name, f"{seconds:.3f} s") for name, seconds in information.stats.times.items()]
+    frame = information.frame_times
+    if frame:
+        rows.append(("one frame", f"{sum(frame.values()):.3f} ms"))
+        rows += [(f"  {name}", f"{milliseconds:.3f} ms") for name, milliseconds in frame.items()]
+    rows += [(f"  {name}", f"skipped: {reason}") for name, reason in information.skipped.items()]
+    width = max((len(name) for name, _ in rows), default=0)
+    # Figures end in one column; reasons begin there.
+    return [f"{name:<{width}}  {text if 'skipped' in text else format(text, '>12')}" for name, text in rows]
+
+
+def render(scene: Any, debug_view: str = "") -> tuple[list[LayerPixels], Any]:
+    """Render the current frame, or an intermediate result; return all layers and the first one's RenderInfo."""
     layers: list[LayerPixels] = []
     found: list[Any] = []
 
@@ -136,12 +154,14 @@ def render(scene: Any) -> tuple[list[LayerPixels], Any]:
         found.append(information)
 
     final.on_finished.append(keep)
+    final.debug_view = debug_view
     try:
         bpy.ops.render.render(write_still=False, scene=scene.name)
     except RuntimeError as error:
         raise BurnishError(sentence(error)) from error
     finally:
         final.on_finished.remove(keep)
+        final.debug_view = ""
     if not layers:
         raise BurnishError("The render was cancelled; nothing was saved.")
     return layers, found[0]

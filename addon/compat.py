@@ -10,7 +10,10 @@ import bpy
 __all__ = ["exit_handlers", "pass_name", "set_texture_filter"]
 
 # Pass names before 5.0 (Blender renamed its built-in passes then).
-OLD_PASS_NAMES = {"Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env"}
+OLD_PASS_NAMES = {
+    "Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env",
+    "Diffuse Direct": "DiffDir", "Diffuse Indirect": "DiffInd", "Diffuse Color": "DiffCol",
+}
 
 
 def pass_name(name: str) -> str:

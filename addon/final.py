@@ -20,8 +20,9 @@ import numpy as np
 
 from ..engine.errors import BurnishError, InvalidScene
 from ..engine.report import Report
+from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import CameraData
-from ..engine.settings import RenderSettings
+from ..engine.settings import DebugSettings, Integrator, RenderSettings
 from . import builds, passes, preferences, preview, report
 from .extract.camera import camera_from_scene
 from .extract.scene import ExtractionCancelled, SceneExtractor
@@ -35,8 +36,14 @@ log = logging.getLogger(__name__)
 STEP_SECONDS = 0.2
 """Aimed-at length of one Session.step; a step ends within 0.1 s of a cancellation anyway."""
 STEP_SAMPLES_MAX = 64
+TIMED_FRAME = 8
+"""Real-time frame whose sections are measured: the first ones record their launches and have no history yet"""
 RESULT_SECONDS = 0.5
 """Time between two partial pictures in the window."""
+
+debug_view = ""
+"""Intermediate result that final renders show instead of the picture, for the command line. The scene's own choice is
+for viewports alone: left on by mistake, it would spoil an animation."""
 
 open_session = builds.open_session
 build_kernels = builds.build_kernels
@@ -57,6 +64,10 @@ class RenderInfo:
     """x, y, width, height [px] of the border in the full frame"""
     stats: Any
     report: Report
+    frame_times: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Milliseconds of each section of a real-time frame"""
+    skipped: dict[str, str] = dataclasses.field(default_factory=dict)
+    """Sections that real-time frames did without, with the reason"""
 
 
 FinishedHook = Callable[[str, str, dict[str, np.ndarray], RenderInfo], None]
@@ -143,8 +154,11 @@ class FinalRender:
         self.settings = preferences.with_device(settings_from_scene(scene, viewport=False))
         if overrides is not None:
             self.settings = overrides(self.settings)
-        self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval))
-        self.report = Report()
+        self.settings = dataclasses.replace(self.settings, debug=DebugSettings(view=debug_view))
+        integrator = self.settings.sampling.integrator
+        self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval, integrator))
+        self.report = passes.missing_passes(depsgraph.view_layer_eval, integrator)
+        self.facts = SceneFacts()
         self.views = view_names(scene.render)
         self.width, self.height = engine.resolution_x, engine.resolution_y
         self.crop = crop_rectangle(scene.render, self.width, self.height)
@@ -156,6 +170,7 @@ class FinalRender:
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)
+        self.facts = scene_facts(extractor.materials())
         session.update(delta, self.progress.stage)
         for part, view in enumerate(self.views):
             self.progress.part = part
@@ -170,7 +185,13 @@ class FinalRender:
         engine.active_view_set(view)
         camera = view_camera(engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
         names = tuple(aov.source for aov in self.aovs)
+        for (kind, owner, message), count in realtime_approximations(
+                self.settings, self.facts, camera.aperture_radius).counts.items():
+            # Once, however many views there are.
+            self.report.counts[kind, owner, message] = count
         session.configure(self.settings, camera, self.width, self.height, self.crop, names)
+        # A kept session remembers the frame before: a picture must not depend on what was rendered before it.
+        session.reset()
         width, height = (self.width, self.height) if self.crop is None else self.crop[2:]
         # With a border, Blender's result has the border's size while it renders; Blender itself puts it into the frame.
         result = engine.begin_result(0, 0, width, height, layer=self.layer, view=view)
@@ -186,7 +207,8 @@ class FinalRender:
             engine.end_result(result, cancel=not finished)
         info = RenderInfo(frame=self.scene.frame_current, samples=samples, seconds=seconds, crop=self.crop,
                           device=session.device_name, cancelled=bool(engine.test_break()), stats=session.stats,
-                          report=merged(session.report, self.report))
+                          report=merged(session.report, self.report), frame_times=dict(session.frame_times),
+                          skipped=dict(session.skipped))
         for hook in list(on_finished):
             hook(self.layer, view, pixels, info)
 
@@ -196,13 +218,17 @@ class FinalRender:
         total, limit = sampling.samples, sampling.time_limit
         start = shown = time.perf_counter()
         done, count, elapsed = 0, 1, 0.0
+        timed_at = timed_frame(self.settings)
 
         def should_stop() -> bool:
             return bool(self.engine.test_break()) or (0.0 < limit <= time.perf_counter() - start and done > 0)
 
         while done < total and not should_stop():
             step_start, before = time.perf_counter(), done
-            done = session.step(min(count, total - done), should_stop)
+            session.timed = done == timed_at
+            # The timed frame is a step of its own.
+            goal = total if done > timed_at else timed_at + int(session.timed)
+            done = session.step(min(count, goal - done), should_stop)
             now = time.perf_counter()
             elapsed = now - start
             count = next_count(count, done - before, now - step_start)
@@ -219,6 +245,16 @@ class FinalRender:
         for render_pass in result.layers[0].passes:
             if render_pass.name in pixels:
                 passes.write_pass(render_pass, pixels[render_pass.name])
+
+
+def timed_frame(settings: RenderSettings) -> int:
+    """Return how many real-time frames come before the one that is measured; -1 for none."""
+    if settings.sampling.integrator != Integrator.REALTIME:
+        return -1
+    frames = settings.sampling.samples
+    if settings.denoiser.path_traced_rest:
+        frames = min(frames, max(settings.denoiser.rest_frames, 1))
+    return min(frames, TIMED_FRAME) - 1
 
 
 def next_count(count: int, added: int, seconds: float) -> int:

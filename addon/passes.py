@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ..engine.report import Report, ReportKind
+from ..engine.settings import Integrator
 from . import compat
 
-__all__ = ["AOVS", "Aov", "enabled_aovs", "register_passes", "write_pass"]
+__all__ = ["AOVS", "Aov", "enabled_aovs", "missing_passes", "register_passes", "write_pass"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class Aov:
     """Blender's pass type: COLOR, VECTOR or VALUE."""
     switch: str
     """The property of a view layer that turns it on."""
+    realtime: bool = False
+    """Only the real-time integrator has it."""
 
 
 AOVS = (
@@ -38,19 +42,37 @@ AOVS = (
     Aov(compat.pass_name("Material Index"), "Material Index", "X", 'VALUE', "use_pass_material_index"),
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
+    Aov(compat.pass_name("Diffuse Direct"), "Diffuse Direct", "RGB", 'COLOR', "use_pass_diffuse_direct", True),
+    Aov(compat.pass_name("Diffuse Indirect"), "Diffuse Indirect", "RGB", 'COLOR', "use_pass_diffuse_indirect", True),
+    Aov(compat.pass_name("Diffuse Color"), "Diffuse Color", "RGB", 'COLOR', "use_pass_diffuse_color", True),
 )
 
 
-def enabled_aovs(view_layer: Any) -> Iterator[Aov]:
-    """Yield the passes that a view layer asks for; Combined always, since Blender adds it anyway."""
+def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
+    """Yield the passes that a view layer asks for and `integrator` has; Combined always: Blender adds it anyway."""
     for aov in AOVS:
-        if aov.name == "Combined" or getattr(view_layer, aov.switch, False):
+        if aov.name == "Combined" or (getattr(view_layer, aov.switch, False) and has_pass(integrator, aov)):
             yield aov
+
+
+def has_pass(integrator: Integrator, aov: Aov) -> bool:
+    """Tell whether an integrator has a pass."""
+    return integrator == Integrator.REALTIME or not aov.realtime
+
+
+def missing_passes(view_layer: Any, integrator: Integrator) -> Report:
+    """Return a report of the passes that a view layer asks for and `integrator` does not have."""
+    report = Report()
+    for aov in AOVS:
+        if getattr(view_layer, aov.switch, False) and not has_pass(integrator, aov):
+            report.add(ReportKind.SKIPPED, "", f"the pass {aov.source} is left out; the realtime integrator has it")
+    return report
 
 
 def register_passes(engine: Any, scene: Any, view_layer: Any) -> None:
     """Tell Blender which passes a render of `view_layer` will have."""
-    for aov in enabled_aovs(view_layer):
+    integrator = Integrator[scene.burnish.sampling.integrator]
+    for aov in enabled_aovs(view_layer, integrator):
         engine.register_pass(scene, view_layer, aov.name, len(aov.channels), aov.channels, aov.kind)
 
 

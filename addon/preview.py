@@ -7,7 +7,7 @@ import dataclasses
 import logging
 from typing import Any
 
-from ..engine.settings import RenderSettings
+from ..engine.settings import Integrator, RenderSettings
 
 __all__ = ["ICON_SIZE_MAX", "render", "with_preview_budget"]
 
@@ -20,8 +20,9 @@ PREVIEW_SECONDS = 2.0
 
 
 def with_preview_budget(settings: RenderSettings) -> RenderSettings:
-    """Return the settings of a preview."""
-    sampling = dataclasses.replace(settings.sampling, samples=PREVIEW_SAMPLES, time_limit=PREVIEW_SECONDS)
+    """Return the settings of a preview: path traced, since it is all about reflections."""
+    sampling = dataclasses.replace(settings.sampling, integrator=Integrator.REFERENCE, samples=PREVIEW_SAMPLES,
+                                   time_limit=PREVIEW_SECONDS)
     return dataclasses.replace(settings, sampling=sampling)
 
 

@@ -16,7 +16,7 @@ from ..engine.report import Report, ReportEntry
 
 __all__ = [
     "clear", "error_sentence", "fail", "publish", "publish_details", "published", "published_details",
-    "published_entries", "published_text", "session_details", "stats_details",
+    "published_entries", "published_text", "session_details", "stats_details", "timing_details",
 ]
 
 log = logging.getLogger(__name__)
@@ -103,7 +103,16 @@ def session_details(session: Any) -> list[tuple[str, str]]:
     """Return a session's figures as name-value lines."""
     stats = getattr(session, "stats", None)
     lines = [("Device", str(getattr(session, "device_name", "")))]
-    return lines + stats_details(stats)
+    return lines + stats_details(stats) + timing_details(session.frame_times, session.skipped)
+
+
+def timing_details(frame_times: dict[str, float], skipped: dict[str, str]) -> list[tuple[str, str]]:
+    """Return the milliseconds of a real-time frame's sections, and why others were left out, as name-value lines."""
+    if not frame_times:
+        return []
+    lines = [("Real-time frame", f"{sum(frame_times.values()):.2f} ms")]
+    lines += [(f"  {name}", f"{milliseconds:.2f} ms") for name, milliseconds in frame_times.items()]
+    return lines + [(f"  {name}", f"skipped: {reason}") for name, reason in skipped.items()]
 
 
 def stats_details(stats: Any) -> list[tuple[str, str]]:

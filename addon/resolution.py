@@ -2,7 +2,8 @@
 """How coarse a viewport picture is while navigating, decided from measured speed; plain arithmetic.
 
 A change of the view starts a short list of levels: a coarse picture that takes about the frame time, one in between,
-the full resolution. Each level starts its samples anew; the full one accumulates.
+the full resolution. Each level starts its samples anew; the full one accumulates. Real-time frames live on what the
+frames before them found, which another size loses: they keep to one coarse size, if any, until nothing moves.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ __all__ = ["DIVIDER_MAX", "ResolutionControl", "divided_size"]
 
 DIVIDER_MAX = 16
 """Coarsest picture: this many screen pixels per rendered pixel, along a side."""
+
+STEADY_FROM, STEADY_TO = 0.35, 1.5
+"""Frame times, as multiples of the one aimed at, within which a divider is kept."""
 
 SMOOTHING = 0.3
 """Weight of the newest measurement; the rest is the running mean, so that one slow frame does not make a flicker."""
@@ -52,6 +56,14 @@ class ResolutionControl:
             return self.first_divider
         full = self.seconds_per_sample * pixels
         return min(DIVIDER_MAX, max(1, math.ceil(math.sqrt(full / frame_time) - 0.1)))
+
+    def steady_divider(self, pixels: int, frame_time: float, fixed: int, current: int) -> int:
+        """Return the divider for navigation, the current one (0: none) as long as it does about as well."""
+        wanted = self.navigation_divider(pixels, frame_time, fixed)
+        if current <= 0 or fixed > 0 or self.seconds_per_sample is None:
+            return wanted
+        expected = self.seconds_per_sample * pixels / current ** 2
+        return current if STEADY_FROM * frame_time <= expected <= STEADY_TO * frame_time else wanted
 
     def levels(self, pixels: int, frame_time: float, fixed: int = 0) -> tuple[int, ...]:
         """Return the dividers to go through after a change, coarsest first, always ending at 1."""

@@ -17,6 +17,7 @@ import bpy
 
 from ..engine.device import start_warp
 from ..engine.report import Report, ReportKind
+from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import SceneDelta
 from . import preferences, report
 from .builds import build_kernels, open_session
@@ -24,7 +25,8 @@ from .display import Display, free_shader
 from .extract.camera import border_from_view, camera_from_view
 from .extract.scene import SceneExtractor
 from .extract.settings import settings_from_scene
-from .worker import ViewportWorker, ViewRequest
+from .view_request import ViewRequest
+from .worker import ViewportWorker
 
 __all__ = ["Viewport", "forget_scenes", "stop_all", "view_draw", "view_update", "viewports"]
 
@@ -86,6 +88,8 @@ class Viewport:
         self._device: Any = None
         self._report = Report()
         self._view_report = Report()
+        self._facts = SceneFacts()
+        self._approximations = Report()
         self._report_counts: dict[Any, int] = {}
         self.message = ""
         """Error of the main thread's half, shown until the next update."""
@@ -101,6 +105,8 @@ class Viewport:
             self._restart()
         self._report = Report()
         delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data)
+        if delta.full or delta.materials or delta.instances is not None:
+            self._facts = scene_facts(self._extractor.materials())
         if not is_empty(delta):
             self._worker.post_scene(delta)
             start_timer()
@@ -119,6 +125,7 @@ class Viewport:
             self.stop_worker()
             engine.tag_update()
         self._device = request.settings.device
+        self._approximations = realtime_approximations(request.settings, self._facts, request.camera.aperture_radius)
         if self._worker is not None and self._worker.post_view(request):
             start_timer()
         self._show(engine, region)
@@ -216,7 +223,7 @@ class Viewport:
 
     def _publish(self, status: Any) -> None:
         merged = Report()
-        for part in (self._report, self._view_report, status.report):
+        for part in (self._report, self._view_report, self._approximations, status.report):
             merged.merge(part)
         if status.error:
             merged.add(ReportKind.ERROR, "3D view", status.error)
@@ -224,7 +231,8 @@ class Viewport:
             self._report_counts = merged.counts
             report.publish("Viewport", merged)
         if status.stats is not None:
-            report.publish_details("Viewport", report.stats_details(status.stats))
+            report.publish_details("Viewport", report.stats_details(status.stats)
+                                   + report.timing_details(status.frame_times, status.skipped))
 
 
 def is_empty(delta: SceneDelta) -> bool:

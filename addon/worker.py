@@ -2,7 +2,8 @@
 """The worker thread of one viewport: owns an engine Session and turns what is posted into pictures.
 
 Knows nothing of bpy and never sees the RenderEngine: the main thread posts scene changes and views and takes the
-newest picture. It renders coarsely first and refines, and sleeps without any timer once it has nothing to do.
+newest picture. It renders coarsely first and refines, and sleeps without any timer once it has nothing to do. In real
+time each frame is shown, and the size stays the same while something moves, since another one would lose the history.
 """
 
 from __future__ import annotations
@@ -11,18 +12,19 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..engine.errors import BurnishError
 from ..engine.report import Report
-from ..engine.scene import CameraData, SceneDelta
-from ..engine.settings import Change, RenderSettings, change_since
+from ..engine.scene import SceneDelta
+from ..engine.settings import Change, RenderSettings
 from .builds import build_kernels, open_session
 from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
+from .view_request import ViewRequest, divided_crop, picture_area, real_time, restarts, step_text
 
-__all__ = ["ViewRequest", "ViewportWorker", "WorkerStatus"]
+__all__ = ["ViewportWorker", "WorkerStatus"]
 
 log = logging.getLogger(__name__)
 
@@ -32,19 +34,14 @@ PUBLISH_SECONDS = 0.1
 """Shortest time between two pictures of the same view."""
 PUBLISH_SHARE = 0.1
 """Largest share of the time that goes into reading and packing pictures."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewRequest:
-    """What a viewport wants to see; equal requests keep the samples."""
-
-    settings: RenderSettings
-    camera: CameraData
-    width: int
-    """Region's size [px]"""
-    height: int
-    crop: tuple[int, int, int, int] | None = None
-    """x, y, width, height [px] of the part to render, from the bottom left; None for all"""
+SETTLE_SECONDS = 0.3
+"""Time without any change after which real-time frames go from the size for navigation to the full one."""
+SHOWN_FRAMES = 32
+"""Frames at rest that are all shown; later ones differ too little."""
+RECORDED_FRAMES = 2
+"""Real-time frames after a change of size that say nothing about the speed: even and odd ones record their launches."""
+TIMING_SECONDS = 1.0
+"""Time between two real-time frames whose sections are measured: that makes a frame slower."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +58,10 @@ class WorkerStatus:
     stats: Any = None
     """SessionStats, once there are some"""
     report: Report = field(default_factory=Report)
+    frame_times: dict[str, float] = field(default_factory=dict)
+    """Milliseconds of each section of a recent real-time frame"""
+    skipped: dict[str, str] = field(default_factory=dict)
+    """Sections that real-time frames do without, with the reason"""
 
 
 class ViewportWorker:
@@ -87,6 +88,10 @@ class ViewportWorker:
         self._control: ResolutionControl | None = None
         self._levels: tuple[int, ...] = (1,)
         self._level = 0
+        self._rendered_level = -1
+        self._changed_at = 0.0
+        self._timed_at = 0.0
+        self._unmeasured = 0
         self._picture_serial = 0
         self._published_at = 0.0
         self._publish_cost = 0.0
@@ -158,8 +163,7 @@ class ViewportWorker:
     def _set_status(self, **changes: Any) -> None:
         # With the lock held by either thread, or by the worker alone after it stopped listening: last write wins.
         current = self._status
-        values = {name: getattr(current, name) for name in ("text", "progress", "busy", "error", "stats", "report")}
-        self._status = WorkerStatus(serial=current.serial + 1, **(values | changes))
+        self._status = replace(current, serial=current.serial + 1, **changes)
 
     def _publish_status(self, **changes: Any) -> None:
         with self._wakeup:
@@ -201,7 +205,7 @@ class ViewportWorker:
     def _unfinished(self) -> bool:
         if self._session is None or self._request is None or not self._has_scene:
             return False
-        if self._level < len(self._levels) - 1:
+        if self._rendered_level < len(self._levels) - 1:
             return True
         limit = self._request.settings.sampling.viewport_samples
         return limit == 0 or self._session.samples_done < limit
@@ -236,16 +240,28 @@ class ViewportWorker:
 
             self._reader = PictureReader(self.device)
         on_processor = str(getattr(self._session, "device_name", "cpu")).lower().startswith("cpu")
-        self._control = ResolutionControl(first_divider=16 if on_processor else 4)
+        self._on_processor = on_processor
 
     def _show_progress(self, text: str, progress: float) -> None:
         self._publish_status(text=text, progress=progress, busy=True)
 
     def _plan_levels(self, request: ViewRequest) -> None:
-        performance = request.settings.performance
-        self._levels = self._control.levels(self._pixels(request, 1), performance.frame_time,
-                                            performance.viewport_pixel_size)
-        self._level = 0
+        if self._planned is not None and real_time(request) != real_time(self._planned):
+            # One integrator's speed says nothing about the other's.
+            self._planned = None
+        if self._planned is None:
+            coarse = 16 if self._on_processor else 4
+            # A graphics processor that is too slow for the full size in real time shows that in its first frames.
+            self._control = ResolutionControl(1 if real_time(request) and not self._on_processor else coarse)
+        performance, pixels = request.settings.performance, self._pixels(request, 1)
+        arguments = pixels, performance.frame_time, performance.viewport_pixel_size
+        if real_time(request):
+            first = self._control.steady_divider(*arguments, current=self._levels[0] if self._planned else 0)
+            self._levels = (first, 1) if first > 1 else (1,)
+        else:
+            self._levels = self._control.levels(*arguments)
+        self._level, self._rendered_level = 0, -1
+        self._changed_at = time.perf_counter()
 
     @staticmethod
     def _rendered_size(request: ViewRequest, divider: int) -> tuple[int, int]:
@@ -266,29 +282,57 @@ class ViewportWorker:
         last_level = self._level == len(self._levels) - 1
         session = self._session
         crop = None if request.crop is None else divided_crop(request.crop, divider)
-        session.configure(request.settings, request.camera, divided_size(request.width, divider),
-                          divided_size(request.height, divider), crop)
+        change = session.configure(request.settings, request.camera, divided_size(request.width, divider),
+                                   divided_size(request.height, divider), crop)
+        if change & Change.RESIZE:
+            self._unmeasured = RECORDED_FRAMES
         before = session.samples_done
         pixels = self._pixels(request, divider)
-        count = self._control.samples_within(pixels, STEP_SECONDS) if last_level and before else 1
-        limit = request.settings.sampling.viewport_samples
-        if limit > 0:
-            count = min(count, max(1, limit - before))
-        # The first, coarse picture of a view is never given up for a newer view: else nothing would ever be seen
-        # while the mouse moves.
-        first = self._level == 0 and before == 0
+        timed = self._timing_due(request)
+        count = self._count(request, pixels, before) if last_level and not timed else 1
+        # The first, coarse picture of a view, or one real-time frame, is never given up for a newer view: else nothing
+        # would ever be seen while the mouse moves.
+        kept = count == 1 and (real_time(request) or (self._level == 0 and before == 0))
+        session.timed = timed
         start = time.perf_counter()
-        done = session.step(count, (lambda: self._stopping) if first else self._interrupted)
-        self._control.record(pixels, done - before, time.perf_counter() - start)
+        done = session.step(count, (lambda: self._stopping) if kept else self._interrupted)
         if done <= before:
             return
+        self._rendered_level = self._level
+        if not timed and not self._starting(request):
+            self._control.record(pixels, done - before, time.perf_counter() - start)
+        limit = request.settings.sampling.viewport_samples
         finished = last_level and limit > 0 and done >= limit
-        if not last_level:
+        if not last_level and self._may_refine(request):
             self._level += 1
-        if not last_level or done <= 2 or finished or self._publishing_pays():
+        shown = SHOWN_FRAMES if real_time(request) else 2
+        if not last_level or done <= shown or finished or self._publishing_pays():
             self._publish(request, divider, done)
-        self._publish_status(text=f"Sample {done}/{limit}" if limit > 0 else f"Sample {done}", progress=0.0,
-                             stats=session.stats, report=copy_report(session.report))
+        self._publish_status(text=step_text(request, done), progress=0.0, stats=session.stats,
+                             report=copy_report(session.report), **frame_figures(session, timed))
+
+    def _count(self, request: ViewRequest, pixels: int, before: int) -> int:
+        """Return how many samples or frames the next step at full resolution takes."""
+        alone = SHOWN_FRAMES if real_time(request) else 1
+        count = self._control.samples_within(pixels, STEP_SECONDS) if before >= alone else 1
+        limit = request.settings.sampling.viewport_samples
+        return min(count, max(1, limit - before)) if limit > 0 else count
+
+    def _starting(self, request: ViewRequest) -> bool:
+        """Tell whether this step also recorded its launches: too slow to tell the speed of those that follow."""
+        starting = real_time(request) and self._unmeasured > 0
+        self._unmeasured -= int(starting)
+        return starting
+
+    def _may_refine(self, request: ViewRequest) -> bool:
+        return not real_time(request) or time.perf_counter() - self._changed_at >= SETTLE_SECONDS
+
+    def _timing_due(self, request: ViewRequest) -> bool:
+        now = time.perf_counter()
+        if not real_time(request) or self._unmeasured > 0 or now - self._timed_at < TIMING_SECONDS:
+            return False
+        self._timed_at = now
+        return True
 
     def _publishing_pays(self) -> bool:
         elapsed = time.perf_counter() - self._published_at
@@ -315,27 +359,10 @@ class ViewportWorker:
         return display_pixels(self._session.read("Combined"), transparent)
 
 
-def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:
-    """Tell whether the samples gathered for `old` are worthless for `new` (more samples of the same view are not)."""
-    if old is None or change_since(new.settings, old.settings) != Change.NONE:
-        return True
-    return (new.camera, new.width, new.height, new.crop) != (old.camera, old.width, old.height, old.crop)
-
-
-def divided_crop(crop: tuple[int, int, int, int], divider: int) -> tuple[int, int, int, int]:
-    """Return the rendered pixels that cover a crop rectangle of screen pixels (x, y, width, height)."""
-    x, y, width, height = crop
-    left, bottom = x // divider, y // divider
-    return left, bottom, divided_size(x + width, divider) - left, divided_size(y + height, divider) - bottom
-
-
-def picture_area(request: ViewRequest, divider: int) -> tuple[float, float, float, float]:
-    """Return where a picture lies in the region, as fractions: left, bottom, right, top."""
-    if request.crop is None:
-        return 0.0, 0.0, 1.0, 1.0
-    x, y, width, height = divided_crop(request.crop, divider)
-    columns, rows = divided_size(request.width, divider), divided_size(request.height, divider)
-    return x / columns, y / rows, (x + width) / columns, (y + height) / rows
+def frame_figures(session: Any, timed: bool) -> dict[str, dict]:
+    """Return what a status says of a frame that was timed, or of an integrator without frames; else nothing."""
+    times = dict(session.frame_times)
+    return {"frame_times": times, "skipped": dict(session.skipped)} if timed or not times else {}
 
 
 def copy_report(report: Report) -> Report:

@@ -22,8 +22,8 @@ DEBUG_VIEWS: dict[str, str] = {
     "probes.tiles": "Which probe each tile uses: one colour for each probe",
     "probes.age": "Frames since each tile's probe last sent rays: white after 64; bright probes live on old light",
     "probes.count": "Updates in each probe's mean, white at 1024: the more, the less noise and the slower to change",
+    "probes.contact": "Light and shadow added to the probes from nearby pixels: grey is none, bright is light",
     "probes.irradiance": "Indirect diffuse light from the probes alone, before it is denoised",
-    "probes.contact": "Light and shadow found between the probes from nearby pixels",
     "cache.cells": "Cells of the radiance cache: one colour for each",
     "cache.levels": "Level of detail of the cache's cells: each level is twice as large",
     "cache.light": "Light kept in the cache at what the camera sees",
@@ -40,6 +40,5 @@ DEBUG_VIEWS: dict[str, str] = {
     "composite.direct": "Emission and direct light with the surfaces' colours",
     "composite.indirect": "Indirect light with the surfaces' colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
-    "rest.weight": "Share of path-traced samples in the picture at rest: white is all path traced",
 }
 """Help by name; a name is its pass and what it shows"""

@@ -9,7 +9,6 @@ integrator to a film of its own, blended in by estimated error (passes/rest.py),
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -52,12 +51,13 @@ class Realtime:
             height: Of the rendered region [px].
             light_passes: Whether the light passes will be read.
         """
-        if (settings, width, height, light_passes) == (self._settings, *self._size, self._light_passes):
-            return
-        only_debug = self._settings is not None and replace(self._settings, debug=settings.debug) == settings
-        if only_debug and (width, height, light_passes) == (*self._size, self._light_passes):
+        old = self._settings
+        if same_frames(settings, old) and (width, height, light_passes) == (*self._size, self._light_passes):
             self._settings = settings
-            self.pipeline.show(settings.debug.view)
+            if settings.debug != old.debug:
+                self.pipeline.show(settings.debug.view)
+                # The blend at rest would take the newest frame for the picture that it blends with.
+                self._forget_samples()
             return
         self._settings, self._size, self._light_passes = settings, (width, height), light_passes
         self._quantiles = filter_table(settings.film.pixel_filter, settings.film.filter_width)
@@ -135,3 +135,10 @@ class Realtime:
         if self._blended and self.reference.samples_done > 0:
             return self._blend.resolve(self._film, self.pipeline.picture, self._settings.film.transparent)
         return self.pipeline.picture
+
+
+def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:
+    """Tell whether frames with `new` settings look like those with `old` ones, apart from the debug view."""
+    groups = ("light_paths", "film", "probes", "cache", "direct_light", "denoiser")
+    return old is not None and new.sampling.seed == old.sampling.seed and all(
+        getattr(new, name) == getattr(old, name) for name in groups)

@@ -20,6 +20,8 @@ def shown(value: Any) -> str:
     """Return a default as a person reads it."""
     if isinstance(value, bool):
         return "on" if value else "off"
+    if value == "":
+        return "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -29,6 +31,8 @@ def domain(default: Any, metadata: dict[str, Any]) -> str:
         return "on, off"
     if isinstance(default, enum.Enum):
         return ", ".join(type(default))
+    if metadata["choices"]:
+        return "a name that `burnish render --help` lists"
     unit = f" {metadata['unit']}" if metadata["unit"] else ""
     return f"{shown(metadata['low'])} to {shown(metadata['high'])}{unit}"
 

@@ -3,6 +3,7 @@
 
 import functools
 import os
+from dataclasses import replace
 
 import numpy as np
 from burnish.engine.program import ProgramBuilder
@@ -17,11 +18,20 @@ from burnish.engine.scene import (
     WorldData,
 )
 from burnish.engine.session import Session
-from burnish.engine.settings import Device, FilmSettings, LightPathSettings, PixelFilter, RenderSettings
+from burnish.engine.settings import (
+    Device,
+    FilmSettings,
+    Integrator,
+    LightPathSettings,
+    PixelFilter,
+    RenderSettings,
+    SamplingSettings,
+)
 
 SETTINGS = RenderSettings(
-    device=Device(os.environ.get("BURNISH_TEST_DEVICE", "cpu")), film=FilmSettings(pixel_filter=PixelFilter.BOX))
-"""On the device that `pytest --device` names"""
+    device=Device(os.environ.get("BURNISH_TEST_DEVICE", "cpu")), film=FilmSettings(pixel_filter=PixelFilter.BOX),
+    sampling=SamplingSettings(integrator=Integrator.REFERENCE))
+"""The reference integrator on the device that `pytest --device` names"""
 
 
 def mesh(positions, triangles, normals=None, uvs=None):
@@ -150,7 +160,7 @@ def camera_above(height=3.0, half=0.5, orthographic=True, **fields):
 def render(scene_delta, camera=None, size=(8, 8), samples=64, settings=SETTINGS, passes=("Combined",), **paths):
     """Render a delta and return the Combined picture [h, w, 4] (and the session where passes are asked for)."""
     if paths:
-        settings = RenderSettings(device=settings.device, film=settings.film, light_paths=LightPathSettings(**paths))
+        settings = replace(settings, light_paths=LightPathSettings(**paths))
     session = Session(settings)
     session.update(scene_delta)
     session.configure(settings, camera or camera_above(), *size, passes=passes)

@@ -9,10 +9,18 @@ __all__ = ["register", "unregister"]
 
 
 def _classes() -> tuple[type, ...]:
-    from . import data_panels, operators, render_panels, report_panels, shading_panels
+    from . import (
+        data_panels,
+        operators,
+        realtime_panels,
+        render_panels,
+        report_panels,
+        sampling_panels,
+        shading_panels,
+    )
 
-    return (*operators.classes, *render_panels.classes, *report_panels.classes, *data_panels.classes,
-            *shading_panels.classes)
+    return (*operators.classes, *sampling_panels.classes, *realtime_panels.classes, *render_panels.classes,
+            *report_panels.classes, *data_panels.classes, *shading_panels.classes)
 
 
 def register(services: Any) -> None:

@@ -2,7 +2,8 @@
 """Blender properties, generated from the dataclasses of engine.settings: no default or range is repeated here.
 
 `Scene.burnish` holds `device` and one group for each nested settings class, by the same names. Enum identifiers are
-the member names in capitals (`Integrator.REFERENCE` is 'REFERENCE').
+the member names in capitals (`Integrator.REFERENCE` is 'REFERENCE'); texts with choices are enums of these texts, with
+'NONE' for the empty one.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import ast
 import enum
 import inspect
 import textwrap
+from collections.abc import Callable
 from dataclasses import Field, fields, is_dataclass
 from typing import Any
 
 import bpy
 
-from ..engine.settings import FilmSettings, RenderSettings, setting_info
+from ..engine.settings import FilmSettings, RenderSettings, SamplingSettings, setting_info
 
 __all__ = ["classes", "enum_items", "enum_property", "member_docs", "register", "unregister"]
 
@@ -25,6 +27,26 @@ ELSEWHERE = {FilmSettings: {"transparent"}}
 
 UNITS = {"s": {"unit": 'TIME_ABSOLUTE'}, "px": {"subtype": 'PIXEL'}}
 """Blender's name for a setting's unit; other units only appear in the label."""
+
+def redraw_views(self: Any, context: Any) -> None:
+    """Draw all 3D views anew: Blender does so after an edit in a panel, but not after one by a script or preset."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == 'VIEW_3D':
+                area.tag_redraw()
+
+
+def update_passes(self: Any, context: Any) -> None:
+    """Tell the scene's view layers that they may have other passes now."""
+    for layer in self.id_data.view_layers:
+        layer.update_render_passes()
+    redraw_views(self, context)
+
+
+UPDATES = {(SamplingSettings, "integrator"): update_passes}
+"""What a change of a property calls instead of `redraw_views`, by settings class and name."""
+
+NO_CHOICE = 'NONE'
 
 MAX_INT = (1 << 31) - 1
 
@@ -47,7 +69,7 @@ def member_docs(enum_class: type[enum.Enum]) -> dict[str, str]:
 
 def title(name: str) -> str:
     """Return a Python or enum name as Blender writes labels."""
-    return name.replace("_", " ").title().replace("Cpu", "CPU").replace("Cuda", "CUDA")
+    return name.replace("_", " ").title().replace("Cpu", "CPU").replace("Cuda", "CUDA").replace("Gbuffer", "G-Buffer")
 
 
 def description(text: str) -> str:
@@ -65,19 +87,40 @@ def enum_items(enum_class: type[enum.Enum]) -> list[tuple[str, str, str]]:
     return items
 
 
-def enum_property(enum_class: type[enum.Enum], default: enum.Enum, name: str, help: str) -> Any:
+def choice_items(choices: dict[str, str], empty: str) -> list[tuple[str, str, str]]:
+    """Return a text's choices ("pass.name" with their help) as items of an EnumProperty, each pass under a heading.
+
+    `empty` is the label of 'NONE', the empty text.
+    """
+    items, heading = [(NO_CHOICE, empty, "")], ""
+    for name, help in choices.items():
+        section, _, label = name.partition(".")
+        if section != heading:
+            # An item without identifier is a heading.
+            items.append(("", title(section), ""))
+            heading = section
+        items.append((name, title(label), description(help)))
+    return items
+
+
+def enum_property(enum_class: type[enum.Enum], default: enum.Enum, name: str, help: str,
+                  update: Callable[[Any, Any], None] | None = None) -> Any:
     """Return an EnumProperty for an enum class."""
     return bpy.props.EnumProperty(name=name, description=description(help), items=enum_items(enum_class),
-                                  default=default.name)
+                                  default=default.name, update=update)
 
 
-def setting_property(field: Field) -> Any:
-    """Return the Blender property of one setting."""
+def setting_property(field: Field, update: Callable[[Any, Any], None] = redraw_views) -> Any:
+    """Return the Blender property of one setting, which calls `update` after a change."""
     info, default = field.metadata, field.default
     label = info["label"] or title(field.name)
     if isinstance(default, enum.Enum):
-        return enum_property(type(default), default, label, info["help"])
-    common = {"name": label, "description": description(info["help"]), "default": default, "options": {'ANIMATABLE'}}
+        return enum_property(type(default), default, label, info["help"], update)
+    common = {"name": label, "description": description(info["help"]), "default": default, "options": {'ANIMATABLE'},
+              "update": update}
+    if info["choices"]:
+        common["default"] = default or NO_CHOICE
+        return bpy.props.EnumProperty(items=choice_items(info["choices"], "None"), **common)
     if isinstance(default, bool):
         return bpy.props.BoolProperty(**common)
     if info["unit"] and info["unit"] not in UNITS:
@@ -94,8 +137,8 @@ def setting_property(field: Field) -> Any:
 def make_group(name: str, settings_class: type) -> type:
     """Return a PropertyGroup class with the settings of a dataclass."""
     skipped = ELSEWHERE.get(settings_class, set())
-    annotations = {key: setting_property(field) for key, field in setting_info(settings_class).items()
-                   if key not in skipped}
+    annotations = {key: setting_property(field, UPDATES.get((settings_class, key), redraw_views))
+                   for key, field in setting_info(settings_class).items() if key not in skipped}
     return type(name, (bpy.types.PropertyGroup,), {
         "__annotations__": annotations, "__doc__": settings_class.__doc__, "__module__": __name__})
 

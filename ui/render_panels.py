@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the render tab: device, sampling, light paths, simplification, film, performance."""
+"""Panels of the render tab for both integrators: light paths, simplification, film, performance."""
 
 from __future__ import annotations
 
@@ -10,62 +10,6 @@ from bpy.types import Panel
 from .panel import BurnishPanel
 
 __all__ = ["classes"]
-
-
-class BURNISH_RENDER_PT_device(BurnishPanel, Panel):
-    """Where the kernels run."""
-
-    bl_label = "Device"
-    bl_options = {'HIDE_HEADER'}
-
-    def draw(self, context: Any) -> None:
-        """Draw."""
-        self.split_layout().prop(context.scene.burnish, "device")
-
-
-class BURNISH_RENDER_PT_sampling(BurnishPanel, Panel):
-    """Samples of viewport and final render."""
-
-    bl_label = "Sampling"
-
-    def draw(self, context: Any) -> None:
-        """Draw nothing: the panels below do."""
-
-
-class BURNISH_RENDER_PT_sampling_viewport(BurnishPanel, Panel):
-    """Samples of the viewport."""
-
-    bl_label = "Viewport"
-    bl_parent_id = "BURNISH_RENDER_PT_sampling"
-
-    def draw(self, context: Any) -> None:
-        """Draw."""
-        self.split_layout().prop(context.scene.burnish.sampling, "viewport_samples", text="Samples")
-
-
-class BURNISH_RENDER_PT_sampling_render(BurnishPanel, Panel):
-    """Samples of the final render."""
-
-    bl_label = "Render"
-    bl_parent_id = "BURNISH_RENDER_PT_sampling"
-
-    def draw(self, context: Any) -> None:
-        """Draw."""
-        layout, sampling = self.split_layout(), context.scene.burnish.sampling
-        layout.prop(sampling, "samples")
-        layout.prop(sampling, "time_limit")
-
-
-class BURNISH_RENDER_PT_sampling_advanced(BurnishPanel, Panel):
-    """Random numbers."""
-
-    bl_label = "Advanced"
-    bl_parent_id = "BURNISH_RENDER_PT_sampling"
-    bl_options = {'DEFAULT_CLOSED'}
-
-    def draw(self, context: Any) -> None:
-        """Draw."""
-        self.split_layout().prop(context.scene.burnish.sampling, "seed")
 
 
 class BURNISH_RENDER_PT_light_paths(BurnishPanel, Panel):
@@ -185,11 +129,6 @@ class BURNISH_RENDER_PT_performance_textures(BurnishPanel, Panel):
 
 
 classes = (
-    BURNISH_RENDER_PT_device,
-    BURNISH_RENDER_PT_sampling,
-    BURNISH_RENDER_PT_sampling_viewport,
-    BURNISH_RENDER_PT_sampling_render,
-    BURNISH_RENDER_PT_sampling_advanced,
     BURNISH_RENDER_PT_light_paths,
     BURNISH_RENDER_PT_light_paths_clamping,
     BURNISH_RENDER_PT_simplify,

@@ -103,6 +103,10 @@ class SceneExtractor:
         """Read everything again next time, but keep meshes that weren't evaluated again (after undo)."""
         self._refresh = True
 
+    def materials(self) -> list[MaterialData]:
+        """Return all materials of the scene as of the last extraction, changed then or not."""
+        return [data for data, _ in self._materials.values()]
+
     def extract(self, depsgraph: bpy.types.Depsgraph, *, viewport: bool, report: Report,
                 progress: Progress | None = None, cancelled: Callable[[], bool] | None = None,
                 space: bpy.types.SpaceView3D | None = None) -> SceneDelta:

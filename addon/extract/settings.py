@@ -12,6 +12,7 @@ from dataclasses import is_dataclass, replace
 from typing import Any, get_type_hints
 
 import bpy
+import numpy as np
 
 from ...engine import settings as engine_settings
 from ...engine.settings import RenderSettings, setting_info
@@ -53,7 +54,11 @@ def _read_value(value: Any, kind: type, limits: Any) -> Any:
     if issubclass(kind, enum.Enum):
         # Blender's enum identifiers may be names or values.
         return kind[value] if value in kind.__members__ else kind(value)
-    value = kind(value)
+    if limits.get("choices"):
+        # Blender has 'NONE' for the empty text.
+        return value if value in limits["choices"] else ""
+    # Blender keeps single precision: 0.3 comes back as 0.30000001; the shortest text of that number is what was set.
+    value = float(str(np.float32(value))) if kind is float else kind(value)
     if limits.get("low") is not None:
         value = max(value, limits["low"])
     if limits.get("high") is not None:

@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import SceneDelta
-from burnish.engine.settings import Change
+from burnish.engine.settings import Change, Integrator
 
 CHANNELS = {"Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
-            "Object Index": 1, "Material Index": 1}
+            "Object Index": 1, "Material Index": 1, "Diffuse Direct": 3, "Diffuse Indirect": 3, "Diffuse Color": 3}
 
 
 class FakeSession:
@@ -25,6 +25,13 @@ class FakeSession:
     fail_in = ""
     opened: list[FakeSession] = []
     device_name = "fake"
+    timed = False
+    skipped: dict = {}
+
+    @property
+    def frame_times(self):
+        real_time = self.settings.sampling.integrator == Integrator.REALTIME
+        return {"Surfaces": 1.0, "Composite": 0.5} if real_time and self.was_timed else {}
 
     def __init__(self, settings):
         self.fail("open")
@@ -38,6 +45,7 @@ class FakeSession:
         self.configured = []
         self.updates = []
         self._config = None
+        self.was_timed, self.resets, self.steps = False, 0, []
         FakeSession.opened.append(self)
 
     def fail(self, where):
@@ -55,12 +63,14 @@ class FakeSession:
         config = (settings, camera, width, height, crop, passes)
         if config == self._config:
             return Change.NONE
-        self._config, self.samples_done = config, 0
+        self.settings, self._config, self.samples_done = settings, config, 0
         self.configured.append(config)
         return Change.RESTART
 
     def step(self, samples=1, should_stop=None):
         self.fail("step")
+        self.was_timed |= self.timed
+        self.steps.append((samples, self.timed))
         for _ in range(samples):
             end = time.perf_counter() + FakeSession.step_seconds
             while time.perf_counter() < end:
@@ -69,6 +79,10 @@ class FakeSession:
                 time.sleep(0.005)
             self.samples_done += 1
         return self.samples_done
+
+    def reset(self):
+        self.samples_done = 0
+        self.resets += 1
 
     def read(self, name="Combined"):
         self.fail("read")
@@ -94,6 +108,9 @@ class FakeExtractor:
 
     def __init__(self):
         self.first = True
+
+    def materials(self):
+        return []
 
     def refresh(self):
         self.first = True
@@ -124,4 +141,5 @@ def register_with_fakes():
     scene.render.engine = 'BURNISH'
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 32, 18, 100
     scene.burnish.sampling.samples = 4
+    scene.burnish.sampling.integrator = 'REFERENCE'
     return final

@@ -49,6 +49,29 @@ def test_jobs_follow_the_options() -> None:
     assert len({job.name for job in [*truth, *rows, *noise]}) == 2 + 8 + 6
 
 
+def test_realtime_has_frames_of_its_own() -> None:
+    """Plan 1, 8, 64 and 256 frames of the real-time integrator, its peers at 64 samples, and obey --samples."""
+    rows = bench.plan_jobs(parse("a.blend", "--integrator", "realtime", "--peers", "cycles", "--budgets", "2"))[1]
+    assert [job.label for job in rows] == [
+        "Burnish Realtime 1 frame", "Burnish Realtime 8 frames", "Burnish Realtime 64 frames",
+        "Burnish Realtime 256 frames", "Cycles 64 spp", "Burnish Realtime 2 s", "Cycles 2 s"]
+    rows = bench.plan_jobs(parse("a.blend", "--integrator", "realtime", "--peers", "cycles", "--samples", "4"))[1]
+    assert [job.label for job in rows] == ["Burnish Realtime 4 frames", "Cycles 4 spp"]
+    assert not bench_store.OWN & set(bench.PEERS)
+
+
+def test_sections_of_a_frame_are_a_table() -> None:
+    """Show each section's milliseconds in a column of its own, and their sum."""
+    errors = dict.fromkeys(("flip", "flip_box", "relative_mse", "luminance", "dark_luminance", "block_p5",
+                            "block_p95", "bad_pixels"), 0.0)
+    result = bench_report.SceneResult(name="a", hash="", size=(1, 1), device="cpu", truth="none", rows=[
+        {"label": "One", "errors": errors, "frame_times": {"Rays": 1.0, "Rest": 0.25}},
+        {"label": "Two", "errors": errors, "frame_times": {"Rays": 2.0}}, {"label": "Cycles", "errors": errors}])
+    lines = bench_report.frame_markdown(result)
+    assert "| render | sum | Rays | Rest |" in lines and "| One | 1.250 | 1.000 | 0.250 |" in lines
+    assert "| Two | 2.000 | 2.000 |  |" in lines and not any("Cycles" in line for line in lines)
+
+
 def test_reference_replaces_the_truth() -> None:
     """Render no truth where a picture is given."""
     assert bench.plan_jobs(parse("a.blend", "--reference", "a.exr"))[0] == []
@@ -76,14 +99,14 @@ def test_store_remembers_finished_pictures(tmp_path: Path, monkeypatch: pytest.M
     scene = tmp_path / "scene.blend"
     scene.write_bytes(b"one")
     store = SceneStore(tmp_path / "out", scene, (32, 18), "cuda:0")
-    burnish, cycles = (Job(engine=engine, samples=4) for engine in ("burnish", "cycles"))
-    for job in (burnish, cycles):
+    burnish, realtime, cycles = (Job(engine=engine, samples=4) for engine in ("burnish", "realtime", "cycles"))
+    for job in (burnish, realtime, cycles):
         store.save(job, {"source": bench_store.source_hash()})
         assert store.record(job) is None, "a record without its picture"
         store.path(job, ".exr").write_bytes(b"")
-    assert list(store.missing([burnish, cycles])) == []
+    assert list(store.missing([burnish, realtime, cycles])) == []
     monkeypatch.setattr(bench_store, "source_hash", lambda: "changed")
-    assert list(store.missing([burnish, cycles])) == [burnish]
+    assert list(store.missing([burnish, realtime, cycles])) == [burnish, realtime]
     scene.write_bytes(b"two")
     assert SceneStore(tmp_path / "out", scene, (32, 18), "cuda:0").folder != store.folder
 

@@ -113,6 +113,60 @@ assert "Depth" not in pictures[1][2]
     assert ramp == list(range(32))
 
 
+def test_integrators_have_different_passes(run_host):
+    """Give the passes of diffuse light with the real-time integrator, and say that they are missing with the other."""
+    run_host("""
+from burnish.addon import report
+layer = scene.view_layers[0]
+scene.use_nodes = True
+for name in ("direct", "indirect", "color"):
+    setattr(layer, f"use_pass_diffuse_{name}", True)
+light = {"Diffuse Direct", "Diffuse Indirect", "Diffuse Color"}
+for integrator, expected in (('REALTIME', {"Combined"} | light), ('REFERENCE', {"Combined"})):
+    scene.burnish.sampling.integrator = integrator
+    bpy.ops.render.render()
+    assert set(pictures[-1][2]) == expected, pictures[-1][2].keys()
+    said = [entry.message for entry in report.published("Render").entries() if "is left out" in entry.message]
+    assert len(said) == (3 if integrator == 'REFERENCE' else 0), said
+""")
+
+
+def test_realtime_frames_start_cold_and_one_is_timed(run_host):
+    """Forget history before each picture, measure the eighth frame alone, and tell the figures."""
+    run_host("""
+from burnish.addon import report
+scene.burnish.sampling.integrator = 'REALTIME'
+scene.burnish.sampling.samples = 20
+bpy.ops.render.render()
+session = FakeSession.opened[-1]
+assert session.resets == 1 and pictures[0][3].samples == 20
+timed = [index for index, (_, flag) in enumerate(session.steps) if flag]
+assert len(timed) == 1 and session.steps[timed[0]][0] == 1, session.steps
+assert sum(count for count, _ in session.steps[:timed[0]]) == 7, session.steps
+assert pictures[0][3].frame_times == {"Surfaces": 1.0, "Composite": 0.5}
+assert "Real-time frame: 1.50 ms" in report.published_text(), report.published_text()
+scene.burnish.sampling.samples = 1
+bpy.ops.render.render()
+assert FakeSession.opened[-1].steps == [(1, True)]
+scene.burnish.sampling.integrator = 'REFERENCE'
+bpy.ops.render.render()
+assert not pictures[2][3].frame_times and not FakeSession.opened[-1].was_timed
+""")
+
+
+def test_debug_views_stay_out_of_final_renders(run_host):
+    """Ignore the scene's debug view, which is for viewports, but show the one that the command line asks for."""
+    run_host("""
+scene.burnish.sampling.integrator = 'REALTIME'
+scene.burnish.debug.view = 'cache.light'
+bpy.ops.render.render()
+assert FakeSession.opened[-1].settings.debug.view == ""
+final.debug_view = "probes.radiance"
+bpy.ops.render.render()
+assert FakeSession.opened[-1].settings.debug.view == "probes.radiance"
+""")
+
+
 def read_parts(path: Path) -> tuple[list[str], list[float]]:
     """Return all channel names of a multi-part EXR and the first row of its first channel."""
     import OpenImageIO as oiio

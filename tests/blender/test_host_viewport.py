@@ -210,6 +210,37 @@ assert all(session.closed for session in FakeSession.opened)
 """)
 
 
+def test_realtime_report_and_figures(run_viewport):
+    """Name what real-time frames approximate, once, with the milliseconds of their sections; nothing path traced."""
+    run_viewport("""
+from burnish.addon import report
+from burnish.engine.program import ProgramBuilder
+from burnish.engine.scene import MaterialData
+builder = ProgramBuilder()
+builder.closure("GLOSSY", 1.0, color=1.0, roughness=0.2)
+FakeExtractor.materials = lambda self: [MaterialData(name="Mirror", program=builder.finish())] * 2
+engine, context = FakeEngine(), make_context()
+sampling = context.scene.burnish.sampling
+sampling.integrator, sampling.viewport_samples = 'REALTIME', 5
+for _ in range(2):
+    viewport.view_update(engine, context, depsgraph)
+    viewport.view_draw(engine, context, depsgraph)
+    until(lambda: not engine.viewport._worker.status.busy)
+viewport._tick()
+viewport.view_draw(engine, context, depsgraph)
+assert engine.texts[-1] == ("flattened", "Frame 5/5"), engine.texts[-1]
+text = report.published_text()
+assert text.count("reflect their surroundings as diffuse light") == 1 and "(x2)" in text, text
+assert "Real-time frame: 1.50 ms" in text and "Composite: 0.50 ms" in text, text
+sampling.integrator = 'REFERENCE'
+viewport.view_draw(engine, context, depsgraph)
+until(lambda: not engine.viewport._worker.status.busy)
+viewport._tick()
+text = report.published_text()
+assert "as diffuse light" not in text and "Real-time frame" not in text, text
+""")
+
+
 def test_freeing_the_engine_ends_its_worker(run_viewport):
     """Stop the thread and close the session when Blender drops the RenderEngine, without any call from it."""
     run_viewport("""

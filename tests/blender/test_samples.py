@@ -128,8 +128,9 @@ def test_unknown_sample_is_named() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("integrator", ["reference", "realtime"])
 @pytest.mark.parametrize("name", NAMES)
-def test_sample_renders_with_burnish(name: str, tmp_path: Path,
+def test_sample_renders_with_burnish(name: str, integrator: str, tmp_path: Path,
                                      burnish: Callable[..., subprocess.CompletedProcess]) -> None:
     """Render each sample with Burnish, though it may name another engine, and find a lit picture without bad pixels."""
     import numpy as np
@@ -137,7 +138,7 @@ def test_sample_renders_with_burnish(name: str, tmp_path: Path,
 
     output = tmp_path / "picture.exr"
     result = burnish("render", SAMPLES / f"{name}.blend", "--output", output, "--size", 64, 36, "--samples", 4,
-                     "--device", "cpu", timeout=600.0)
+                     "--integrator", integrator, "--device", "cpu", timeout=600.0)
     assert result.returncode == 0, result.stderr
     pixels = np.asarray(oiio.ImageBuf(str(output)).get_pixels(oiio.FLOAT))[..., :3]
     assert np.isfinite(pixels).all() and (pixels >= 0.0).all()

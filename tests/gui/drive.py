@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Uses Burnish in a real Blender window as a person would, takes pictures of the screen and notes what they show.
 
-Runs inside Blender: `blender scene.blend --python drive.py -- FOLDER`. Writes FOLDER/*.png and FOLDER/result.json;
-test_window.py starts it and judges. Only what the screen shows counts; the engine is asked just whether it rests.
+Runs inside Blender: `blender scene.blend --python drive.py -- FOLDER INTEGRATOR`. Writes FOLDER/*.png and
+FOLDER/result.json; test_window.py starts it and judges. Only what the screen shows counts; the engine is asked just
+whether it rests.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ from typing import Any
 import bpy
 import numpy as np
 
-FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
+FOLDER, INTEGRATOR = Path(sys.argv[-2]), sys.argv[-1]
 MOVED, EDITED = "Ceramic roughness 0.50", "Gold roughness 0.00"
 """Objects of the gallery: one to move, one whose material to edit."""
+LAMP = "Key softbox"
+"""Its brightest lamp from the front."""
 
 POLL_SECONDS = 1.0
 FIRST_PICTURE_SECONDS = 600.0
 """The first picture may wait for the kernels to be compiled."""
 SETTLE_SECONDS = 240.0
-VIEWPORT_SAMPLES = 8
+VIEWPORT_SAMPLES = {'REFERENCE': 8, 'REALTIME': 24}[INTEGRATOR]
 """After which the viewport rests."""
 
 VISIBLE = 0.05
@@ -132,6 +135,7 @@ def prepare() -> Iterator[float]:
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.view3d.view_center_camera()
     bpy.context.scene.render.engine = 'BURNISH'
+    bpy.context.scene.burnish.sampling.integrator = INTEGRATOR
     bpy.context.scene.burnish.sampling.viewport_samples = VIEWPORT_SAMPLES
     yield 2 * POLL_SECONDS
     pictures["solid"] = grab("solid")
@@ -205,6 +209,30 @@ def undo_push(message: str) -> None:
         bpy.ops.ed.undo_push(message=message)
 
 
+def switch_lamp() -> Iterator[float]:
+    """Turn a lamp off and on again; nothing of its light may stay, and all of it must come back."""
+    lamp = bpy.data.objects[LAMP].data
+    power, lamp.energy = lamp.energy, 0.0
+    yield from settle("lamp off")
+    expect_change("undone", "lamp off", 0.02)
+    lamp.energy = power
+    yield from settle("lamp on")
+    left = result["left after the lamp"] = changed(pictures["undone"], pictures["lamp on"])
+    assert left < 0.25 * result["undone to lamp off"], f"the lamp's light did not come back: {left:.5f}"
+
+
+def debug_view() -> Iterator[float]:
+    """Look at an intermediate result, chosen as in the panel, and go back to the picture."""
+    debug = bpy.context.scene.burnish.debug
+    debug.view = 'gbuffer.normal'
+    yield from settle("normals")
+    expect_change("lamp on", "normals", 0.5)
+    debug.view = 'NONE'
+    yield from settle("no debug view")
+    left = result["left after the debug view"] = changed(pictures["lamp on"], pictures["no debug view"])
+    assert left < 0.05, f"the picture did not come back after the debug view: {left:.5f}"
+
+
 def switch_modes() -> Iterator[float]:
     """Leave and enter Rendered quickly, a few times."""
     shading = view()[1].spaces.active.shading
@@ -243,7 +271,8 @@ def final_render() -> Iterator[float]:
 
 def everything() -> Iterator[float]:
     """Take all steps in order."""
-    for step in (prepare, render_in_view, orbit, edit, switch_modes, final_render):
+    own = (switch_lamp, debug_view) if INTEGRATOR == 'REALTIME' else ()
+    for step in (prepare, render_in_view, orbit, edit, *own, switch_modes, final_render):
         yield from step()
 
 

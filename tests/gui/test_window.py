@@ -73,14 +73,15 @@ def troubles(log: str) -> list[str]:
     return [line for line in log.splitlines() if TROUBLE.search(line) and not HARMLESS.search(line)]
 
 
-@pytest.mark.parametrize("backend", ["opengl", "vulkan"])
-def test_window(installed: list[str], backend: str) -> None:
-    """Render in the viewport, orbit, move, edit, undo, switch modes and press F12; every step must show."""
-    folder = OUT / backend
+@pytest.mark.parametrize(("backend", "integrator"), [
+    ("opengl", "REFERENCE"), ("vulkan", "REFERENCE"), ("opengl", "REALTIME")])
+def test_window(installed: list[str], backend: str, integrator: str) -> None:
+    """Render in the viewport, orbit, move, edit, undo, switch a lamp, modes and press F12; every step must show."""
+    folder = OUT / f"{backend}-{integrator.lower()}"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     result = run([*installed, "blender", "--gpu-backend", backend, "-p", "0", "0", *SIZE, SCENE, "--python",
-                  "tests/gui/drive.py", "--", str(folder)], DRIVE_SECONDS)
+                  "tests/gui/drive.py", "--", str(folder), integrator], DRIVE_SECONDS)
     (folder / "blender.log").write_text(result.stdout)
     tail = result.stdout[-3000:]
     assert (folder / "result.json").exists(), f"Blender ended early, status {result.returncode}:\n{tail}"

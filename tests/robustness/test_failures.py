@@ -111,7 +111,12 @@ COMMANDS = {
     "time": "empty.blend --time 0.5",
     "png": "empty.blend --output {folder}/png.png",
 }
-"""Arguments of `burnish render` by the test that looks at them; two samples, the processor and NAME.exr by default."""
+"""Arguments of `burnish render` by the test that looks at them; two samples of the reference integrator, the processor
+and NAME.exr by default."""
+
+REALTIME = ("empty", "nothing", "transparent", "border", "missing_image", "nan_mesh", "1x1", "16384x3", "3x517")
+"""Those that are rendered by the real-time integrator too"""
+COMMANDS |= {f"{name}_realtime": f"{COMMANDS[name]} --integrator realtime" for name in REALTIME}
 
 BATCH = """
 import json, os, tempfile
@@ -122,7 +127,8 @@ results = {}
 for name, text in commands.items():
     arguments = text.format(folder=folder).split()
     arguments[0] = os.path.join(folder, arguments[0])
-    for option, default in (("--output", f"{folder}/{name}.exr"), ("--samples", "2"), ("--device", "cpu")):
+    for option, default in (("--output", f"{folder}/{name}.exr"), ("--samples", "2"), ("--device", "cpu"),
+                            ("--integrator", "reference")):
         if option not in arguments and not (option == "--samples" and "--time" in arguments):
             arguments += [option, default]
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as error:
@@ -246,7 +252,8 @@ Session.step = broken
 raise SystemExit(cli.main(sys.argv[1:]))
 """
     path = tmp_path / "picture.exr"
-    process = run_python(script, "render", scenes / "empty.blend", "-o", path, "--samples", 64, "--device", "cpu")
+    process = run_python(script, "render", scenes / "empty.blend", "-o", path, "--samples", 64, "--device", "cpu",
+                         "--integrator", "reference")
     assert process.returncode == 1, process.stdout + process.stderr
     assert "illegal memory access" in process.stderr
     assert process.stderr.count("\n") == 1
@@ -330,6 +337,14 @@ def test_odd_sizes(picture: Callable, name: str) -> None:
     width, height = map(int, name.split("x"))
     assert pixels.shape[:2] == (height, width)
     np.testing.assert_allclose(pixels[..., :3], np.broadcast_to(WORLD, (height, width, 3)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", REALTIME)
+def test_realtime_draws_the_same(picture: Callable, name: str) -> None:
+    """Draw what needs no sampling as the path tracer does, to the rounding of half floats."""
+    samples = 1 if "--samples 1" in COMMANDS[name] else 2
+    expected = picture(name, samples=samples)
+    np.testing.assert_allclose(picture(f"{name}_realtime", samples=samples), expected, rtol=2e-3, atol=1e-4)
 
 
 def test_time_limit_ends_the_render(results: dict[str, dict], scenes: Path) -> None:

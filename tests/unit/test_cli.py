@@ -61,7 +61,10 @@ def test_options_repeat_the_settings(capfd: pytest.CaptureFixture) -> None:
     (("render", "a.blend", "-o", "a.exr", "--size", "9"), "--size"),
     (("render", "a.blend", "-o", "a.exr", "--device", "tpu"), "tpu"),
     (("render", "a.blend", "-o", "a.exr", "--frame", "x"), "--frame"),
-    (("render", "a.blend", "-o", "a.exr", "--integrator", "realtime"), "not in this version"),
+    (("render", "a.blend", "-o", "a.exr", "--integrator", "fast"), "fast"),
+    (("render", "a.blend", "-o", "a.exr", "--debug-view", "nothing"), "nothing"),
+    (("render", "a.blend", "-o", "a.exr", "--debug-view", "gbuffer.normal", "--integrator", "reference"),
+     "has no debug views; use --integrator realtime."),
     (("render", "missing.blend", "-o", "a.exr"), "The scene 'missing.blend' does not exist."),
     (("render", __file__, "-o", "a.jpg"), "must end in .exr or .png"),
 ])

@@ -34,6 +34,17 @@ def test_fixed_divider_wins():
     assert control.levels(10**6, 0.05, fixed=2) == (2, 1)
 
 
+def test_steady_divider_resists_small_changes():
+    """Keep a size whose frames take about the time aimed at; leave one that is far too slow or too fast."""
+    control = ResolutionControl(first_divider=8)
+    assert control.steady_divider(10**6, 0.05, 0, current=0) == 8
+    control.record(10**6, 1, 0.8)
+    assert control.navigation_divider(10**6, 0.05) == 4
+    assert [control.steady_divider(10**6, 0.05, 0, current) for current in (0, 1, 2, 4, 5, 6, 12)] == [
+        4, 4, 4, 4, 5, 6, 4]
+    assert control.steady_divider(10**6, 0.05, 3, current=4) == 3
+
+
 def test_levels_end_at_full_resolution():
     """Refine over one level between, and always end at 1."""
     control = ResolutionControl(first_divider=16)

@@ -11,10 +11,17 @@ from pathlib import Path
 
 import pytest
 from burnish.addon.picture import pack_colors
-from burnish.addon.worker import ViewportWorker, ViewRequest, divided_crop, picture_area, restarts
+from burnish.addon.view_request import ViewRequest, divided_crop, picture_area, restarts
+from burnish.addon.worker import ViewportWorker
 from burnish.engine.errors import DeviceUnavailable
 from burnish.engine.scene import CameraData, SceneDelta
-from burnish.engine.settings import RenderSettings, SamplingSettings
+from burnish.engine.settings import (
+    DebugSettings,
+    Integrator,
+    PerformanceSettings,
+    RenderSettings,
+    SamplingSettings,
+)
 
 spec = importlib.util.spec_from_file_location(
     "host_fakes", Path(__file__).resolve().parent.parent / "blender" / "host_fakes.py")
@@ -34,10 +41,17 @@ def until(condition) -> None:
 
 
 def request(samples: int = 8, **changes) -> ViewRequest:
-    """Return a request for 64 x 36 pixels."""
-    settings = RenderSettings(sampling=SamplingSettings(viewport_samples=samples))
+    """Return a request for path-traced samples of 64 x 36 pixels."""
+    sampling = SamplingSettings(viewport_samples=samples, integrator=Integrator.REFERENCE)
+    settings = RenderSettings(sampling=sampling)
     values = {"settings": settings, "camera": CameraData(), "width": 64, "height": 36} | changes
     return ViewRequest(**values)
+
+
+def frames(samples: int = 8, view: str = "", **changes) -> ViewRequest:
+    """Return a request for real-time frames of 64 x 36 pixels."""
+    sampling = SamplingSettings(viewport_samples=samples, integrator=Integrator.REALTIME)
+    return request(**{"settings": RenderSettings(sampling=sampling, debug=DebugSettings(view=view))} | changes)
 
 
 @pytest.fixture
@@ -75,6 +89,15 @@ def test_refines_from_coarse_to_full_and_rests(make_worker):
     assert worker.status.serial == serial and time.thread_time() - start < 0.05
 
 
+def test_one_sample_is_one_at_full_size(make_worker):
+    """End at full resolution even where the coarse picture has as many samples as asked for."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(request(samples=1))
+    until(lambda: worker.picture is not None and not worker.status.busy)
+    assert worker.picture.divider == 1 and fakes.FakeSession.opened[0].configured[0][2:4] == (16, 9)
+
+
 def test_equal_views_change_nothing(make_worker):
     """Tell that an equal request is no news; more samples of the same view go on where they were."""
     worker = make_worker()
@@ -101,6 +124,60 @@ def test_first_picture_survives_navigation(make_worker):
         if worker.picture is not None:
             serials.add(worker.picture.serial)
     assert len(serials) >= 4, serials
+
+
+def test_realtime_keeps_its_size_while_moving(make_worker):
+    """Show real-time frames of one coarse size while views arrive, and go to full size only once they stop."""
+    class ProcessorSession(fakes.FakeSession):
+        device_name = "cpu"
+
+    fakes.FakeSession.step_seconds = 0.03
+    worker = make_worker(ProcessorSession)
+    worker.post_scene(SceneDelta(full=True))
+    serials = set()
+    for i in range(100):
+        worker.post_view(frames(camera=CameraData(focus_distance=1.0 + i)))
+        time.sleep(0.005)
+        if worker.picture is not None:
+            serials.add(worker.picture.serial)
+    sizes = {config[2:4] for config in fakes.FakeSession.opened[0].configured}
+    assert len(serials) >= 8, serials
+    assert len(sizes) == 1 and sizes != {(64, 36)}, sizes
+    until(lambda: worker.status.text == "Frame 8/8" and worker.picture.divider == 1)
+    sizes = [config[2:4] for config in fakes.FakeSession.opened[0].configured]
+    assert sizes[-1] == (64, 36) and len(set(sizes)) == 2, sizes
+
+
+def test_realtime_shows_every_early_frame(make_worker):
+    """Show each of the first frames at rest, and measure a frame's sections now and then."""
+    fakes.FakeSession.step_seconds = 0.01
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(frames(samples=0, settings=dataclasses.replace(
+        frames(samples=0).settings, performance=PerformanceSettings(viewport_pixel_size=1))))
+    seen = {}
+    end = time.perf_counter() + WAIT
+    while len(seen) < 20 and time.perf_counter() < end:
+        if worker.picture is not None:
+            seen[worker.picture.samples] = worker.picture.serial
+        time.sleep(0.002)
+    assert list(seen) == list(range(min(seen), min(seen) + 20)), seen
+    assert worker.status.frame_times == {"Surfaces": 1.0, "Composite": 0.5}
+    timed = [flag for _, flag in fakes.FakeSession.opened[0].steps]
+    assert 1 <= sum(timed) <= 3, timed
+
+
+def test_another_debug_view_is_shown_at_rest(make_worker):
+    """Render one more frame when only the debug view changes after the last one."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(frames())
+    until(lambda: not worker.status.busy and worker.picture is not None)
+    serial = worker.picture.serial
+    assert worker.post_view(frames(view="cache.cells"))
+    until(lambda: worker.picture.serial > serial and not worker.status.busy)
+    assert fakes.FakeSession.opened[0].settings.debug.view == "cache.cells"
+    assert worker.status.text.endswith("| cache.cells")
 
 
 def test_stop_is_quick_and_closes_the_session(make_worker):

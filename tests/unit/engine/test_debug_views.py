@@ -11,7 +11,7 @@ from burnish.engine.debug_views import DEBUG_VIEWS
 from burnish.engine.pipeline import Pipeline
 from burnish.engine.scene import LightData, LightKind
 from burnish.engine.session import Session
-from burnish.engine.settings import CacheSettings, DebugSettings, Integrator, SamplingSettings
+from burnish.engine.settings import CacheSettings, DebugSettings, DenoiserSettings, Integrator, SamplingSettings
 
 from tests import scenes
 
@@ -25,8 +25,7 @@ def test_table_names_what_the_passes_draw(device: str) -> None:
     pipeline.configure(SETTINGS, 8, 8, False)
     drawn = [name for each in pipeline.passes for name in each.debug_views]
     assert len(drawn) == len(set(drawn))
-    # The rest regime is no pass of the frame: it comes after it.
-    assert set(drawn) | {"rest.weight"} == set(DEBUG_VIEWS), set(drawn) ^ set(DEBUG_VIEWS)
+    assert set(drawn) == set(DEBUG_VIEWS), set(drawn) ^ set(DEBUG_VIEWS)
     assert all(DEBUG_VIEWS.values())
 
 
@@ -52,7 +51,7 @@ def show(session: Session, view: str, frames: int) -> np.ndarray:
     return session.read()
 
 
-@pytest.mark.parametrize("view", [name for name in DEBUG_VIEWS if name != "rest.weight"])
+@pytest.mark.parametrize("view", list(DEBUG_VIEWS))
 def test_every_view_shows_something_else(session: Session, view: str) -> None:
     """Draw each view as finite colours other than the picture's, and the picture again afterwards."""
     picture = show(session, "", 2)
@@ -60,3 +59,42 @@ def test_every_view_shows_something_else(session: Session, view: str) -> None:
     assert np.isfinite(shown).all() and (shown >= 0.0).all()
     assert not np.allclose(shown[..., :3], picture[..., :3], rtol=0.05, atol=1e-3)
     np.testing.assert_allclose(show(session, "", 2).mean(), picture.mean(), rtol=0.05)
+
+
+def test_debug_view_at_rest_leaves_the_picture(device: str) -> None:
+    """Show a debug view after path tracing has begun, and the picture again, not a blend of both."""
+    settings = dataclasses.replace(SETTINGS, denoiser=DenoiserSettings(rest_frames=3))
+    session = Session(settings)
+    session.update(scenes.delta({"ball": scenes.sphere(0.5, 16)}, [("ball", scenes.place(z=0.5), "grey")],
+                                {"grey": scenes.material(color=0.5)}, background=0.3))
+
+    def picture(view: str, frames: int) -> np.ndarray:
+        session.configure(dataclasses.replace(settings, debug=DebugSettings(view=view)), scenes.camera_above(), 32, 32)
+        session.step(frames)
+        return session.read()[..., :3]
+
+    before = picture("", 40)
+    normals = picture("gbuffer.normal", 1)
+    again = picture("", 40)
+    assert session.samples_done == 40
+    # The ball from above: normals are 0.5 + 0.5 n, bright in z.
+    assert normals[16, 16, 2] == pytest.approx(1.0, abs=0.02) and normals[16, 16, 0] == pytest.approx(0.5, abs=0.1)
+    # Noise of other samples; a blend with the normals would differ by 0.2 and more.
+    assert np.abs(again - before).mean() < 0.01
+
+
+def test_settings_of_the_host_keep_the_frames(device: str) -> None:
+    """Go on where the frames were when only the number of samples or the viewport's pixel size changes."""
+    session = Session(SETTINGS)
+    session.update(scenes.delta({"floor": scenes.quad()}, [("floor", scenes.place(), "grey")],
+                                {"grey": scenes.material(color=0.5)}, background=0.3))
+    session.configure(SETTINGS, scenes.camera_above(), 8, 8)
+    session.step(5)
+    sampling = dataclasses.replace(SETTINGS.sampling, samples=9, viewport_samples=7, time_limit=3.0)
+    performance = dataclasses.replace(SETTINGS.performance, frame_time=0.1, viewport_pixel_size=2)
+    other = dataclasses.replace(SETTINGS, sampling=sampling, performance=performance)
+    session.configure(other, scenes.camera_above(), 8, 8)
+    assert session.samples_done == 5 and session.step(1) == 6
+    session.configure(dataclasses.replace(other, sampling=dataclasses.replace(sampling, seed=3)),
+                      scenes.camera_above(), 8, 8)
+    assert session.samples_done == 0

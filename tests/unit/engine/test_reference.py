@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
-from burnish.engine.settings import FilmSettings, RenderSettings, SamplingSettings
+from burnish.engine.settings import FilmSettings
 
 from tests import scenes
 
@@ -197,7 +197,8 @@ def test_same_seed_same_bits(monkeypatch):
         monkeypatch.setattr("burnish.engine.device.thread_count", lambda count=threads: count)
         pictures.append(scenes.render(room(0.7), camera, (96, 96), 3))
     assert (pictures[0] == pictures[1]).all()
-    other = RenderSettings(device=scenes.SETTINGS.device, film=scenes.SETTINGS.film, sampling=SamplingSettings(seed=1))
+    sampling = dataclasses.replace(scenes.SETTINGS.sampling, seed=1)
+    other = dataclasses.replace(scenes.SETTINGS, sampling=sampling)
     assert (scenes.render(room(0.7), camera, (96, 96), 3, other) != pictures[0]).any()
 
 

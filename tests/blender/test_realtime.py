@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real-time integrator through Blender's final render and the command line, with the real engine."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess]
+
+CORNELL = Path(__file__).resolve().parents[2] / "sample_blends" / "cornell.blend"
+TIMEOUT = 600.0
+"""The first run may have to build all kernels"""
+
+SCENE = """
+import bpy, burnish, numpy as np
+from burnish.addon import final
+burnish.register()
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.world = bpy.data.worlds.new("World")
+scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.4, 0.3, 1.0)
+bpy.ops.mesh.primitive_plane_add(size=40.0)
+floor = bpy.context.object
+bpy.ops.mesh.primitive_cube_add(size=1.0, location=(0.0, 0.0, 0.5))
+cube = bpy.context.object
+material = bpy.data.materials.new("Chalk")
+material.node_tree.nodes.clear()
+diffuse = material.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+diffuse.inputs["Color"].default_value = (0.8, 0.5, 0.2, 1.0)
+output = material.node_tree.nodes.new("ShaderNodeOutputMaterial")
+material.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
+for thing in (floor, cube):
+    thing.data.materials.append(material)
+bpy.ops.object.light_add(type='POINT', location=(2.0, -2.0, 3.0))
+bpy.context.object.data.energy = 300.0
+bpy.ops.object.camera_add(location=(0.0, -4.0, 3.0), rotation=(0.95, 0.0, 0.0))
+scene.camera = bpy.context.object
+scene.render.engine = 'BURNISH'
+scene.render.resolution_x, scene.render.resolution_y = 48, 32
+settings = scene.burnish
+settings.device = 'CPU'
+settings.sampling.integrator, settings.sampling.samples = 'REALTIME', 12
+pictures = []
+final.on_finished.append(lambda layer, view, pixels, information: pictures.append((pixels, information)))
+"""
+
+
+def run_scene(run_python: Run, script: str) -> str:
+    """Run a script after the scene is set up and return what it printed; it must end well."""
+    result = run_python(SCENE + script + "\nburnish.unregister()\nprint('done')", timeout=TIMEOUT)
+    assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
+    return result.stdout
+
+
+def test_command_line(burnish: Run, tmp_path: Path) -> None:
+    """Render frames with a table of timings, the same bits twice, and a debug view that is another picture."""
+    def render(name: str, *more: object) -> tuple[str, np.ndarray]:
+        result = burnish("render", CORNELL, "--output", tmp_path / name, "--size", 48, 32, "--samples", 3,
+                         "--integrator", "realtime", "--device", "cpu", *more, timeout=TIMEOUT)
+        assert result.returncode == 0 and result.stderr == "", result.stdout + result.stderr
+        return result.stdout, np.asarray(oiio.ImageBuf(str(tmp_path / name)).get_pixels(oiio.FLOAT))[..., :3]
+
+    text, picture = render("first.exr", "--timings")
+    assert re.search(r"^one frame +[\d.]+ ms$", text, re.M), text
+    sections = re.findall(r"^  \S.*? +([\d.]+) ms$", text, re.M)
+    assert len(sections) > 8
+    total = float(re.search(r"^one frame +([\d.]+) ms$", text, re.M)[1])
+    assert sum(map(float, sections)) == pytest.approx(total, rel=0.01)
+    assert re.search(r"^approximated: materials with a roughness below 0.6 reflect", text, re.M), text
+    assert text.rstrip().splitlines()[-1].startswith(f"{tmp_path / 'first.exr'} 48x32 3 samples")
+    assert np.isfinite(picture).all() and (picture > 0.0).mean() > 0.9
+    # Two processes; the timed frame runs section by section.
+    np.testing.assert_array_equal(render("second.exr")[1], picture)
+    normals = render("normals.exr", "--debug-view", "gbuffer.normal")[1]
+    assert normals.min() >= 0.0 and normals.max() <= 1.0 and np.abs(normals - picture).mean() > 0.1
+
+
+def test_light_passes_make_up_the_picture(run_python: Run) -> None:
+    """Combine Diffuse Direct, Indirect and Color to the picture of a scene without any other light."""
+    run_scene(run_python, """
+layer = scene.view_layers[0]
+for name in ("direct", "indirect", "color"):
+    setattr(layer, f"use_pass_diffuse_{name}", True)
+layer.use_pass_z = True
+settings.film.pixel_filter = 'BOX'
+bpy.ops.render.render()
+pixels = pictures[0][0]
+direct, indirect, color = (pixels[f"Diffuse {name}"] for name in ("Direct", "Indirect", "Color"))
+surface = pixels["Depth"][..., 0] < 1e9
+assert surface.mean() > 0.5
+for name, part in (("direct", direct), ("indirect", indirect)):
+    assert np.isfinite(part).all() and (part >= 0.0).all() and part[surface].mean() > 0.05, (name, part.mean())
+assert np.abs(color[surface] - (0.8, 0.5, 0.2)).max() < 0.01, color[surface].mean(0)
+made, seen = ((direct + indirect) * color)[surface], pixels["Combined"][..., :3][surface]
+# The passes average the filtered frames as the picture does, but round to half floats on the way.
+assert np.abs(made.mean(0) / seen.mean(0) - 1.0).max() < 0.02, (made.mean(0), seen.mean(0))
+""")
+
+
+def test_animation_frames_do_not_depend_on_each_other(run_python: Run, tmp_path: Path) -> None:
+    """Render the same second frame after a first one with Persistent Data as on its own."""
+    # Only the camera moves: a moved object would leave the flattened structure, in which hits round otherwise.
+    run_scene(run_python, f"""
+scene.render.filepath = {str(tmp_path) + "/"!r}
+scene.render.use_persistent_data = True
+camera = scene.camera
+camera.keyframe_insert("location", frame=1)
+camera.location.x = 1.0
+camera.keyframe_insert("location", frame=2)
+scene.frame_start, scene.frame_end = 1, 2
+bpy.ops.render.render(animation=True)
+scene.render.use_persistent_data = False
+scene.frame_start = 2
+bpy.ops.render.render(animation=True)
+first, second, alone = (picture[0]["Combined"] for picture in pictures)
+assert not np.array_equal(first, second)
+assert np.array_equal(second, alone), np.abs(second - alone).max()
+""")
+
+
+def test_more_frames_than_the_filters_take(run_python: Run) -> None:
+    """Go over to path tracing after the frames at rest: close to the reference, which the report then allows for."""
+    run_scene(run_python, """
+settings.denoiser.rest_frames = 4
+settings.sampling.samples = 68
+bpy.ops.render.render()
+settings.sampling.integrator = 'REFERENCE'
+settings.sampling.samples = 256
+bpy.ops.render.render()
+mixed, reference = (picture[0]["Combined"][..., :3] for picture in pictures)
+assert pictures[0][1].samples == 68
+assert np.abs(mixed.mean((0, 1)) / reference.mean((0, 1)) - 1.0).max() < 0.03, (mixed.mean(), reference.mean())
+""")

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the real-time frame is said to approximate, from compiled materials."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from burnish.engine.program import ProgramBuilder
+from burnish.engine.report import ReportKind
+from burnish.engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
+from burnish.engine.scene import MaterialData
+from burnish.engine.settings import DebugSettings, DenoiserSettings, Integrator, RenderSettings, SamplingSettings
+
+EVERYTHING = SceneFacts(reflective=3, refractive=2, translucent=1)
+
+
+def material(kind: str, **arguments) -> MaterialData:
+    """Return a material of one BSDF; UV stands for a value that varies."""
+    builder = ProgramBuilder()
+    values = {name: builder.uv("") if value == "UV" else value for name, value in arguments.items()}
+    builder.closure(kind, 1.0, color=(0.2, 0.5, 0.8), **values)
+    return MaterialData(name=kind, program=builder.finish())
+
+
+def realtime(samples: int = 1024, **changes) -> RenderSettings:
+    """Return settings of the real-time integrator."""
+    return RenderSettings(sampling=SamplingSettings(integrator=Integrator.REALTIME, samples=samples), **changes)
+
+
+@pytest.mark.parametrize(("kind", "arguments", "expected"), [
+    ("DIFFUSE", {}, SceneFacts()),
+    ("SHEEN", {"roughness": 0.1}, SceneFacts()),
+    ("GLOSSY", {"roughness": 0.59}, SceneFacts(reflective=1)),
+    ("GLOSSY", {"roughness": 0.6}, SceneFacts()),
+    ("GLOSSY", {"roughness": "UV"}, SceneFacts(reflective=1)),
+    ("GLASS", {"roughness": 0.9, "ior": 1.5}, SceneFacts(refractive=1)),
+    ("GLASS", {"roughness": 0.0, "ior": 1.5}, SceneFacts(refractive=1, reflective=1)),
+    ("REFRACTION", {"roughness": 0.0, "ior": 1.5}, SceneFacts(refractive=1)),
+    ("TRANSLUCENT", {}, SceneFacts(translucent=1)),
+    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5, "specular_level": 0.5}, SceneFacts(reflective=1)),
+    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.0, "specular_level": 0.5}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.8, "ior": 1.5, "specular_level": 0.5, "metallic": 1.0}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.8, "metallic": 1.0, "coat": "UV"}, SceneFacts(reflective=1)),
+    ("PRINCIPLED", {"roughness": 0.8, "transmission": 0.1}, SceneFacts(refractive=1)),
+    ("PRINCIPLED", {"roughness": 0.8, "subsurface": 1.0}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.8, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts(translucent=1)),
+])
+def test_facts_follow_the_closures(kind: str, arguments: dict, expected: SceneFacts) -> None:
+    """Find what a BSDF has, and count what varies as if it had it."""
+    assert scene_facts([material(kind, **arguments)]) == expected
+
+
+def test_facts_count_materials() -> None:
+    """Count a material once whatever number of closures it has, and all materials that have something."""
+    builder = ProgramBuilder()
+    for roughness in (0.1, 0.2):
+        builder.closure("GLOSSY", builder.uv(""), color=(1.0, 1.0, 1.0), roughness=roughness)
+    double = MaterialData(name="Double", program=builder.finish())
+    assert scene_facts([double, material("GLOSSY", roughness=0.3), material("DIFFUSE")]) == SceneFacts(reflective=2)
+
+
+def test_each_approximation_is_named_once() -> None:
+    """Name every approximation once, with the number of materials."""
+    entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
+    assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
+    assert sorted(entry.count for entry in entries) == [1, 1, 2, 3]
+    text = " ".join(entry.message for entry in entries)
+    assert "reflect" in text and "refract" in text and "translucent" in text and "depth of field" in text
+    assert text.count("until the picture has rested for 256 frames") == 4
+
+
+def test_nothing_is_said_without_need() -> None:
+    """Say nothing about the reference integrator, a debug view, or a scene without any of it."""
+    assert not realtime_approximations(RenderSettings(
+        sampling=SamplingSettings(integrator=Integrator.REFERENCE)), EVERYTHING, 0.01).counts
+    assert not realtime_approximations(realtime(debug=DebugSettings(view="gbuffer.normal")), EVERYTHING, 0.01).counts
+    assert not realtime_approximations(realtime(), SceneFacts(), 0.0).counts
+
+
+@pytest.mark.parametrize(("samples", "denoiser", "words"), [
+    (0, {}, "rested for 256 frames"),
+    (257, {}, "rested for 256 frames"),
+    (256, {}, "render more than 256 frames"),
+    (1024, {"path_traced_rest": False}, "turn on path tracing at rest"),
+    (5, {"rest_frames": 4}, "rested for 4 frames"),
+])
+def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> None:
+    """Tell when path tracing takes over, or what to change where it never does."""
+    settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
+    entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
+    assert len(entries) == 4 and all(words in entry.message for entry in entries), entries
