@@ -24,6 +24,7 @@ DEBUG_VIEWS: dict[str, str] = {
     "probes.count": "Updates in each probe's mean, white at 1024: the more, the less noise and the slower to change",
     "probes.contact": "Light and shadow added to the probes from nearby pixels: grey is none, bright is light",
     "probes.irradiance": "Indirect diffuse light from the probes alone, before it is denoised",
+    "probes.specular": "Indirect light that reflections get, by the diffuse light: grey alike, black none, white twice",
     "cache.cells": "Cells of the radiance cache: one colour for each",
     "cache.levels": "Level of detail of the cache's cells: each level is twice as large",
     "cache.light": "Light kept in the cache at what the camera sees",

@@ -31,8 +31,9 @@ __all__ = [
 PATH_BLOCK = 64
 BLOCK_SIZES = dict.fromkeys(
     ("tracing", "misses", "layers", "materials", "reference", "shadow_layers", "shadow_lights", "gbuffer_rays",
-     "gbuffer_layers", "gbuffer_materials", "cache_rays", "cache_materials", "cache_lights", "cache_programs",
-     "direct_candidates", "direct_shadow", "direct_shade"), PATH_BLOCK)
+     "gbuffer_layers", "gbuffer_layers_lean", "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean",
+     "cache_materials", "cache_lights", "cache_programs", "direct_candidates", "direct_shadow", "direct_shade"),
+    PATH_BLOCK)
 DEFAULT_BLOCK = 256
 
 _start_lock = threading.Lock()

@@ -12,10 +12,15 @@ from ..kernels import node_codes as codes
 from ..kernels.types import (
     MATERIAL_CONSTANT_EMISSION,
     MATERIAL_EMISSION,
+    MATERIAL_FLAT_SHIFT,
+    MATERIAL_LEAN,
+    MATERIAL_LEAN_FLAT,
+    MATERIAL_LEAN_TRANSPARENCY,
     MATERIAL_TRANSPARENCY,
     Material,
     Materials,
 )
+from .lean import LeanPrograms, is_lean, is_lean_transparency
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
 from .scene import CameraData, CameraKind, MaterialData
@@ -57,6 +62,7 @@ class MaterialTable:
         self.device = device
         self.uses_camera = False
         """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
+        self.lean = LeanPrograms()
         self.indices: dict[Hashable, int] = {}
         self.bytes = 0
         self.build({}, None, lambda key: 0, lambda name: -1, lambda name: -1)
@@ -93,12 +99,16 @@ class MaterialTable:
         for row, data in enumerate(everything.values()):
             base = table.add_tables(data.program)
             records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)
+            # Next to it: the distance is stored.
+            records[row]["flags"] = material_flags(data) | table.add_flat(data.program, base) << MATERIAL_FLAT_SHIFT
             records[row]["transparency_start"] = table.add_code(data.program.transparency, data.program, base)
             records[row]["emission_start"] = table.add_code(data.program.emission, data.program, base)
-            records[row]["flags"] = material_flags(data)
             records[row]["emission"] = data.constant_emission or (0.0, 0.0, 0.0)
             records[row]["pass_index"] = data.pass_index
             self.uses_camera |= data.program.uses_camera
+        self.lean = LeanPrograms(
+            *(bool((records["flags"] & bit).all())
+              for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY)))
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
         self._upload(table, records, world_start)
 
@@ -149,7 +159,9 @@ def material_flags(data: MaterialData) -> int:
     if data.has_emission:
         flags |= MATERIAL_EMISSION
         flags |= MATERIAL_CONSTANT_EMISSION if data.constant_emission is not None else 0
-    return flags
+    flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
+    flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
+    return flags | (MATERIAL_LEAN_TRANSPARENCY if is_lean_transparency(data.program) else 0)
 
 
 class _Table:
@@ -188,6 +200,13 @@ class _Table:
         self.code.extend(self.resolve(instruction, program, base) for instruction in instructions)
         self.code.append(END)
         return start
+
+    def add_flat(self, program: Program, base: int) -> int:
+        """Append a flat program after the surface program just added; return how far, 0 where they are the same."""
+        if not program.flat or program.flat == program.surface:
+            return 0
+        self.add_code(program.flat, program, base)
+        return len(program.surface) + 1
 
     def resolve(self, instruction: Instruction, program: Program, base: int) -> Instruction:
         """Return an instruction with operands and immediates that index the arrays."""

@@ -127,7 +127,7 @@ class Pipeline:
     def _fingerprint(self, scene: DeviceScene, motion: Motion) -> bytes:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
         facts = (scene.structures.has_filtered, scene.has_light_programs, scene.emitters.textured, scene.local_power,
-                 scene.radius, self.split.share)
+                 scene.radius, self.split.share, scene.material_table.lean)
         return bytes(scene.scene._ctype) + bytes(motion._ctype) + repr(facts).encode()
 
     def _record(
@@ -136,13 +136,16 @@ class Pipeline:
         """Record a frame: the method in its order."""
         graph, kernels_scene = FrameGraph(self.device), scene.scene
         filtered, programs = scene.structures.has_filtered, scene.has_light_programs
-        surfaces = self.gbuffer.record(graph, parity, kernels_scene, views, motion, filtered=filtered)
+        lean = scene.material_table.lean
+        surfaces = self.gbuffer.record(
+            graph, parity, kernels_scene, views, motion, filtered=filtered, all_lean=lean.surface,
+            lean_layers=lean.transparency)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         rays, count = self.probes.record_rays(graph, parity, kernels_scene, views, surfaces)
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count,
             minimum_cell=smallest_cell(self._settings.cache, scene.radius), threshold=self.split.threshold,
-            filtered=filtered, programs=programs, gbuffer=surfaces)
+            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat)
         indirect = self.probes.record_light(
             graph, parity, kernels_scene, views, surfaces, self.composite.color.previous(parity), reprojection)
         direct = self.direct.record(
@@ -154,7 +157,8 @@ class Pipeline:
             indirect = self.diffuse_denoise.record(graph, parity, views, surfaces, before, reprojection, indirect)
         with graph.section("Composite"):
             picture = self.composite.record(
-                graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect)
+                graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect,
+                self.probes.specular_ratio)
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 from .program_fold import fold
-from .program_layout import Instruction, RegisterOverflow, Sink, Value, lay_out
+from .program_layout import Instruction, RegisterOverflow, Sink, Value, flat_sinks, lay_out
 
 __all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "tangent_attribute"]
 
@@ -56,12 +56,14 @@ def operation_code(family: str, name: str) -> int:
 
 @dataclass(frozen=True)
 class Program:
-    """Compiled node graph: three instruction lists over shared tables; equal programs compare equal."""
+    """Compiled node graph: four instruction lists over shared tables; equal programs compare equal."""
 
     surface: tuple[Instruction, ...] = ()
     """Everything; each list ends without OP_END"""
     transparency: tuple[Instruction, ...] = ()
     emission: tuple[Instruction, ...] = ()
+    flat: tuple[Instruction, ...] = ()
+    """The surface program without normal maps and bump: for rays that see a wide part of a surface at once"""
     constants: tuple[Vec4, ...] = ()
     ramps: tuple[bytes, ...] = ()
     """Tables as float32 [RAMP_SIZE, 4]"""
@@ -345,11 +347,12 @@ class ProgramBuilder:
         """Return the program. Raises RegisterOverflow where the graph needs more registers than there are."""
         constants: dict[Vec4, int] = {}
         listings = [lay_out(self.values, self.sinks, name, constants) for name in "ste"]
-        surface, transparency, emission = (
+        listings.append(lay_out(self.values, flat_sinks(self.sinks, self.constant(0.0)), "s", constants))
+        surface, transparency, emission, flat = (
             tuple(move_rows(instruction, len(constants)) for instruction in listing) for listing in listings)
         rows = [row for block in self.rows for row in block]
         return Program(
-            surface=surface, transparency=transparency, emission=emission,
+            surface=surface, transparency=transparency, emission=emission, flat=flat,
             constants=tuple(constants) + tuple(rows), ramps=tuple(self.ramps), images=tuple(self.images),
             uv_maps=tuple(self.uv_maps), attributes=tuple(self.attributes), uses_camera=self.uses_camera,
         )

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..kernels import node_codes as codes
 
-__all__ = ["OPERANDS", "Instruction", "RegisterOverflow", "Sink", "Value", "lay_out"]
+__all__ = ["OPERANDS", "Instruction", "RegisterOverflow", "Sink", "Value", "flat_sinks", "lay_out"]
 
 Instruction = tuple[int, int, int, int]
 
@@ -47,6 +47,14 @@ class Sink:
     operands: tuple[int, ...]
     programs: str
     """Programs it is part of: s surface, t transparency, e emission"""
+
+
+def flat_sinks(sinks: list[Sink], zero: Value) -> list[Sink]:
+    """Return the sinks with `zero`, which stands for the shading normal, as every closure's normal."""
+    normals = {codes.ARG_NORMAL, codes.ARG_COAT_NORMAL}
+    return [
+        replace(sink, operands=tuple(zero.index if slot in normals else x for slot, x in enumerate(sink.operands)))
+        if sink.op == codes.OP_CLOSURE else sink for sink in sinks]
 
 
 def register_needs(values: list[Value]) -> list[int]:
@@ -103,7 +111,8 @@ def lay_out(
         RegisterOverflow: More values are alive at once than there are registers, even without sharing any
             between the sinks.
     """
-    chosen = [sink for sink in sinks if program in sink.programs]
+    # Closures last: then the lean machine need not keep one while it computes what other sinks need.
+    chosen = sorted((sink for sink in sinks if program in sink.programs), key=lambda sink: sink.op == codes.OP_CLOSURE)
     try:
         return allocate(values, schedule(values, chosen, True), constants)
     except RegisterOverflow:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from .packing import from_half
-from .view import View
+from .view import View, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -25,7 +25,12 @@ MOTION_SAMPLES = wp.constant(9.0)
 FIRST_REST_SAMPLES = wp.constant(4.0)
 
 # Frames after an edit of lights during which the history weighs at most half.
-LIGHT_EDIT_FRAMES = wp.constant(8)
+LIGHT_EDIT_FRAMES = wp.constant(12)
+
+# While light spreads (a bounce takes a frame), the share of the frames since then that the history counts as, and the
+# frames for which that goes on: the first are too dark.
+SETTLING_SHARE = wp.constant(0.3)
+SETTLING_FRAMES = wp.constant(64.0)
 
 # Half the size of the box around the neighbourhood's mean, in standard deviations.
 CLIP_DEVIATIONS = wp.constant(1.25)
@@ -218,6 +223,18 @@ def clamp_color(c: wp.vec4) -> wp.vec4:
     return wp.vec4(wp.max(c[0], 0.0), wp.max(c[1], 0.0), wp.max(c[2], 0.0), wp.clamp(c[3], 0.0, 1.0))
 
 
+@wp.func
+def history_limit(view: View) -> float:
+    """Return as how many frames the history may count, for how long light has been spreading."""
+    limit = float(SAMPLES_MAX)
+    settling = settling_frames(view)
+    if settling < SETTLING_FRAMES:
+        limit = SETTLING_SHARE * settling
+    if view.light_age < LIGHT_EDIT_FRAMES:
+        limit = wp.min(limit, 1.0)
+    return limit
+
+
 @wp.kernel
 def antialias(
     first: int,
@@ -245,8 +262,7 @@ def antialias(
             samples = float(previous.samples[pixel])
             if rest == 1:
                 samples = wp.min(samples, FIRST_REST_SAMPLES)
-            if views[0].light_age < LIGHT_EDIT_FRAMES:
-                samples = wp.min(samples, 1.0)
+            samples = wp.min(samples, history_limit(views[0]))
             mean = previous.color[pixel]
             mean += (current - mean) / (samples + 1.0)
         else:
@@ -259,9 +275,7 @@ def antialias(
                 mean = filter_frame(color, views[0].jitter, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
-                samples = wp.min(float(previous.samples[old]), MOTION_SAMPLES)
-                if views[0].light_age < LIGHT_EDIT_FRAMES:
-                    samples = wp.min(samples, 1.0)
+                samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(views[0]))
                 history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
                 w_new = firefly_weight(current)
                 w_old = firefly_weight(history) * samples

@@ -15,15 +15,18 @@ from .packing import pack_normal
 from .paths import ENDED, Paths, load_hit
 from .principled import prepare_bsdf
 from .probe_rays import MISS_DISTANCE
-from .reflectance import bsdf_albedo
+from .reflectance import BsdfAlbedo, bsdf_albedo
 from .sampling import sample_pair
-from .types import VISIBLE_DIFFUSE, Bsdf, Closure, Scene, ShadingPoint
+from .types import MATERIAL_FLAT_SHIFT, VISIBLE_DIFFUSE, Closure, Scene, ShadingPoint
 from .view import View, eye_position, pixel_footprint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Largest value in a sample: what is brighter came from a division by nearly nothing.
 BRIGHTEST = wp.constant(1.0e9)
+
+# Vertices.emission[3] where the lean kernel has left a ray to the full one.
+LEFT = wp.constant(-2.0)
 
 
 @wp.func
@@ -47,6 +50,24 @@ def sane(c: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def hit_point(view: View, scene: Scene, paths: Paths, slot: int, bounce: int) -> ShadingPoint:
+    """Return the point that a ray has hit. Textures are seen as widely as a pixel would see them there."""
+    point = surface_point(scene, load_hit(paths, slot), paths.direction[slot])
+    point.footprint = pixel_footprint(view.camera, wp.length(point.position - eye_position(view.camera)))
+    point.ray_visibility = VISIBLE_DIFFUSE
+    point.ray_length = paths.t[slot]
+    point.ray_depth = 1 + bounce
+    return point
+
+
+@wp.func
+def flat_start(scene: Scene, point: ShadingPoint) -> int:
+    """Return the first instruction of the program without normal maps: a cell is wider than their detail."""
+    return scene.materials.materials[point.material].surface_start + (
+        scene.materials.materials[point.material].flags >> MATERIAL_FLAT_SHIFT)
+
+
+@wp.func
 def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, weighed: bool) -> float:
     """Return how much of a hit's emission its ray brings: none of what arrives by light sampling.
 
@@ -62,22 +83,23 @@ def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, 
 
 
 @wp.func
-def store_surface(scene: Scene, point: ShadingPoint, bsdf: Bsdf, weight: wp.vec3, share: float, vertices: Vertices,
-                  slot: int):
+def store_surface(
+    point: ShadingPoint, albedo: BsdfAlbedo, normal: wp.vec3, emitted: wp.vec3, weight: wp.vec3, share: float,
+    vertices: Vertices, slot: int,
+):
     """Store what is known of a hit; `weight` is what layers before it let through, `share` that of its emission."""
-    albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
     # Refracted light comes from the other side like that of the translucent lobe.
     behind = sane(albedo.translucent + albedo.specular - albedo.reflected)
     total = sane(albedo.diffuse + albedo.reflected) + behind
     through = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
     reflectance = sane(wp.cw_mul(total, weight))
     vertices.reflectance[slot] = wp.vec4(reflectance[0], reflectance[1], reflectance[2], through)
-    emission = sane(wp.cw_mul(bsdf.emission, weight) * share)
+    emission = sane(wp.cw_mul(emitted, weight) * share)
     vertices.emission[slot] = wp.vec4(emission[0], emission[1], emission[2], wp.min(point.ray_length, MISS_DISTANCE))
     p = point.position
     vertices.position[slot] = wp.vec4(p[0], p[1], p[2], point.error)
     vertices.geometric_normal[slot] = pack_normal(point.geometric_normal)
-    vertices.normal[slot] = pack_normal(bsdf.normal)
+    vertices.normal[slot] = pack_normal(normal)
 
 
 @wp.kernel
@@ -91,6 +113,7 @@ def evaluate_cache_materials(
     weighed: int,
     threshold: float,
     filtered: int,
+    rest: int,
     paths: Paths,
     # Out:
     vertices_out: Vertices,
@@ -98,9 +121,13 @@ def evaluate_cache_materials(
     """Run the programs of the materials that the rays from slot `offset` on hit, or of the world.
 
     `bounce` is 1 for bounce rays: the world reaches cells by light sampling, so those that miss bring nothing, unless
-    the world is not sampled. `weighed` 1: they share the emission of emitters with light sampling.
+    the world is not sampled. `weighed` 1: they share the emission of emitters with light sampling. `rest` 1: only what
+    evaluate_cache_lean has left.
     """
     slot = offset + first + wp.tid()
+    if rest == 1:
+        if vertices_out.emission[slot][3] != LEFT:
+            return
     zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
     vertices_out.reflectance[slot] = zero
     if paths.state[slot] == ENDED:
@@ -124,12 +151,8 @@ def evaluate_cache_materials(
             limit = NO_THRESHOLD
     else:
         view = views[0]
-        point = surface_point(scene, load_hit(paths, slot), direction)
-        point.footprint = pixel_footprint(view.camera, wp.length(point.position - eye_position(view.camera)))
-        point.ray_visibility = VISIBLE_DIFFUSE
-        point.ray_length = paths.t[slot]
-        point.ray_depth = 1 + bounce
-        start = scene.materials.materials[point.material].surface_start
+        point = hit_point(view, scene, paths, slot, bounce)
+        start = flat_start(scene, point)
     closure = Closure()
     if missed and scene.environment.constant == 1:
         closure.emission = scene.environment.radiance
@@ -141,4 +164,6 @@ def evaluate_cache_materials(
         vertices_out.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
         return
     share = emission_weight(scene, point, paths, slot, bounce == 1 and weighed == 1)
-    store_surface(scene, point, prepare_bsdf(scene.tables, closure, point), weight, share, vertices_out, slot)
+    bsdf = prepare_bsdf(scene.tables, closure, point)
+    albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
+    store_surface(point, albedo, bsdf.normal, bsdf.emission, weight, share, vertices_out, slot)

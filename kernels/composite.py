@@ -51,9 +51,9 @@ def light_or_none(light: wp.vec4h) -> wp.vec3:
 @wp.func
 def light_shares(
     gbuffer: GBuffer, direct_diffuse: wp.array[wp.vec4h], direct_specular: wp.array[wp.vec4h],
-    irradiance: wp.array[wp.vec4h], pixel: int,
+    irradiance: wp.array[wp.vec4h], specular_ratio: wp.array[wp.float16], pixel: int,
 ) -> LightShares:
-    """Multiply a pixel's demodulated light by the surface's colours."""
+    """Multiply a pixel's demodulated light by the surface's colours; a reflection lobe gets `specular_ratio` of it."""
     s = LightShares()
     none = wp.vec3(0.0, 0.0, 0.0)
     e = from_half(gbuffer.emission[pixel])
@@ -76,7 +76,10 @@ def light_shares(
         s.diffuse_direct = wp.cw_mul(s.albedo, light_or_none(direct_diffuse[pixel]))
         s.diffuse_indirect = wp.cw_mul(s.albedo, indirect)
         s.specular_direct = wp.cw_mul(m.specular, light_or_none(direct_specular[pixel]))
-        s.specular_indirect = wp.cw_mul(m.specular, indirect)
+        ratio = float(specular_ratio[pixel])
+        if not wp.isfinite(ratio):
+            ratio = 1.0
+        s.specular_indirect = wp.cw_mul(m.specular, indirect) * ratio
     return s
 
 
@@ -89,12 +92,13 @@ def compose(
     direct_diffuse: wp.array[wp.vec4h],
     direct_specular: wp.array[wp.vec4h],
     irradiance: wp.array[wp.vec4h],
+    specular_ratio: wp.array[wp.float16],
     # Out:
     color_out: wp.array[wp.vec4h],
 ):
-    """Add up what each pixel shows; 60 bytes read and 8 written a pixel."""
+    """Add up what each pixel shows; 62 bytes read and 8 written a pixel."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, pixel)
+    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, specular_ratio, pixel)
     c = rgb(s.emission) + s.diffuse_direct + s.diffuse_indirect + s.specular_direct + s.specular_indirect
     # Rounding of spherical harmonics may leave light slightly negative.
     c = wp.vec3(wp.clamp(c[0], 0.0, HALF_MAX), wp.clamp(c[1], 0.0, HALF_MAX), wp.clamp(c[2], 0.0, HALF_MAX))
@@ -110,12 +114,13 @@ def accumulate_light_passes(
     gbuffer: GBuffer,
     direct_diffuse: wp.array[wp.vec4h],
     irradiance: wp.array[wp.vec4h],
+    specular_ratio: wp.array[wp.float16],
     # Out:
     passes_out: LightPasses,
 ):
     """Add this frame's diffuse light to the sums; while something moves they hold this frame alone."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_diffuse, irradiance, pixel)
+    s = light_shares(gbuffer, direct_diffuse, direct_diffuse, irradiance, specular_ratio, pixel)
     direct = s.diffuse_direct
     indirect = s.diffuse_indirect
     albedo = rgba(s.albedo, 1.0)

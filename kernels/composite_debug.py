@@ -27,13 +27,14 @@ def show_light(
     direct_diffuse: wp.array[wp.vec4h],
     direct_specular: wp.array[wp.vec4h],
     irradiance: wp.array[wp.vec4h],
+    specular_ratio: wp.array[wp.float16],
     what: int,
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
     """Draw the direct light and emission, or the indirect light, of this frame alone."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, pixel)
+    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, specular_ratio, pixel)
     c = rgb(s.emission) + s.diffuse_direct + s.specular_direct
     if what == SHOW_INDIRECT:
         c = s.diffuse_indirect + s.specular_indirect

@@ -11,6 +11,7 @@ from .diffuse_temporal import DiffuseHistory
 from .direct_temporal import DirectHistory
 from .filter_weights import brightness
 from .long_mean import unpack_mean
+from .packed_halves import unpack_first, unpack_halves
 from .packing import rgba
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -46,9 +47,9 @@ def show_direct_variance(
     """Show the relative error that is left in the mean of direct light, white from 100 % on; banded over pixels."""
     pixel = first + wp.tid()
     length = wp.max(wp.abs(float(history.length[pixel])), 1.0)
-    moments = history.moments[pixel]
+    moments = unpack_halves(history.moments[pixel])
     light = brightness(unpack_mean(history.diffuse[pixel]) + unpack_mean(history.specular[pixel]))
-    error = (float(moments[0]) + float(moments[1])) / wp.sqrt(length)
+    error = (moments[0] + moments[1]) / wp.sqrt(length)
     picture_out[pixel] = rgba(heat(error / wp.max(light, 1.0e-6)), 1.0)
 
 
@@ -62,7 +63,7 @@ def show_diffuse_history(
 ):
     """Show how many frames are in the mean of diffuse indirect light; banded over pixels."""
     pixel = first + wp.tid()
-    picture_out[pixel] = length_color(float(history.state[pixel][0]))
+    picture_out[pixel] = length_color(unpack_first(history.state[pixel]))
 
 
 @wp.kernel
@@ -79,6 +80,6 @@ def show_diffuse_blur(
     """Show the blur of diffuse indirect light, white at the largest; banded over pixels."""
     pixel = first + wp.tid()
     reach = blur_radius(history.state, width, height, pixel, radius)
-    if float(history.state[pixel][0]) < 0.0:
+    if unpack_first(history.state[pixel]) < 0.0:
         reach = 0
     picture_out[pixel] = rgba(heat(float(reach) / float(wp.max(radius, 1))), 1.0)

@@ -9,13 +9,15 @@ from __future__ import annotations
 import warp as wp
 
 from .diffuse_temporal import DiffuseHistory
-from .filter_weights import pixel_plane, plane_weight, smooth_normal_weight
+from .filter_weights import pixel_plane, smooth_normal_weight, squared_cosine, surface_weight, unit_normal
 from .gbuffer import GBuffer
 from .long_mean import pack_mean, unpack_mean
-from .packing import from_half, rgb, rgba, to_half, unpack_normal
+from .packed_halves import pack_halves, unpack_first, unpack_halves
+from .packing import rgb, rgba
 from .view import SKY_DEPTH, View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# Fast: means and weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Frames from which on a mean is no longer replaced by what is shown of it: detail comes back the sooner.
 FEEDBACK_FRAMES = wp.constant(4.0)
@@ -31,10 +33,10 @@ def radius_of(length: float, radius: int) -> int:
 
 @wp.func
 def blur_radius(
-    state: wp.array[wp.vec4h], width: int, height: int, pixel: int, radius: int,
+    state: wp.array[wp.uint64], width: int, height: int, pixel: int, radius: int,
 ) -> int:
     """Return the radius [px] at a pixel: its own, or half of a close neighbour's, so that blurs end softly."""
-    own = radius_of(float(state[pixel][0]), radius)
+    own = radius_of(unpack_first(state[pixel]), radius)
     x = pixel % width
     y = pixel // width
     around = int(0)
@@ -42,7 +44,7 @@ def blur_radius(
     for k in range(4):
         i = wp.clamp(x + wp.where(k < 2, 2 * k - 1, 0) * DILATION, 0, width - 1)
         j = wp.clamp(y + wp.where(k < 2, 0, 2 * k - 5) * DILATION, 0, height - 1)
-        length = float(state[j * width + i][0])
+        length = unpack_first(state[j * width + i])
         if length >= 0.0:
             around = wp.max(around, radius_of(length, radius))
     return wp.max(own, around // 2)
@@ -54,7 +56,7 @@ def tap_factor(
 ) -> float:
     """Return the weight of a tap by its normal and by how far it is."""
     t = float(offset) / float(radius + 1)
-    return smooth_normal_weight(wp.dot(normal, unpack_normal(gbuffer.normal[q]))) * (1.0 - t * t)
+    return smooth_normal_weight(squared_cosine(normal, gbuffer.normal[q])) * (1.0 - t * t)
 
 
 @wp.kernel
@@ -68,7 +70,7 @@ def blur_diffuse_x(
     radius: int,
     history: DiffuseHistory,
     # Out:
-    blurred_out: wp.array[wp.vec4h],
+    blurred_out: wp.array[wp.uint64],
 ):
     """Blur the mean along rows (method 7.6); banded over pixels.
 
@@ -79,19 +81,19 @@ def blur_diffuse_x(
         first: Of the band.
         radius: Largest [px].
         history: This frame's means.
-        blurred_out: Irradiance / pi; w = radius [px], -1 where nothing is known.
+        blurred_out: pack_halves of irradiance / pi; w = radius [px], -1 where nothing is known.
     """
     pixel = first + wp.tid()
     out = wp.vec4(0.0, 0.0, 0.0, -1.0)
     if gbuffer.depth[pixel] < SKY_DEPTH:
         reach = blur_radius(history.state, width, height, pixel, radius)
-        length = float(history.state[pixel][0])
+        length = unpack_first(history.state[pixel])
         centre = unpack_mean(history.irradiance[pixel])
         if length >= 0.0:
             out = rgba(centre, float(reach))
         if reach > 0:
             plane = pixel_plane(views[0], gbuffer, width, pixel)
-            normal = unpack_normal(gbuffer.normal[pixel])
+            normal = unit_normal(gbuffer.normal[pixel])
             x = pixel % width
             sum = wp.vec3(0.0, 0.0, 0.0)
             total = float(0.0)
@@ -99,15 +101,15 @@ def blur_diffuse_x(
             end = wp.min(reach, width - 1 - x)
             while offset <= end:
                 q = pixel + offset
-                w = plane_weight(plane, offset, 0, gbuffer.depth[q])
-                if w > 0.0 and float(history.state[q][0]) >= 0.0:
+                w = surface_weight(plane, offset, 0, gbuffer.depth[q])
+                if w > 0.0 and unpack_first(history.state[q]) >= 0.0:
                     w *= tap_factor(gbuffer, q, offset, reach, normal)
                     sum += unpack_mean(history.irradiance[q]) * w
                     total += w
                 offset += 1
             if total > 1.0e-6:
                 out = rgba(sum / total, float(reach))
-    blurred_out[pixel] = to_half(out)
+    blurred_out[pixel] = pack_halves(out)
 
 
 @wp.kernel
@@ -119,10 +121,10 @@ def blur_diffuse_y(
     width: int,
     height: int,
     radius: int,
-    blurred: wp.array[wp.vec4h],
+    blurred: wp.array[wp.uint64],
     # Out:
     history_out: DiffuseHistory,
-    irradiance_out: wp.array[wp.vec4h],
+    irradiance_out: wp.array[wp.uint64],
 ):
     """Blur along columns, and keep the result as the mean while that is short (method 7.6); banded over pixels.
 
@@ -134,10 +136,10 @@ def blur_diffuse_y(
         radius: Largest [px].
         blurred: As blur_diffuse_x writes it.
         history_out: This frame's means.
-        irradiance_out: Irradiance / pi; w = 1 where light is known, else 0.
+        irradiance_out: pack_halves of irradiance / pi; w = 1 where light is known, else 0.
     """
     pixel = first + wp.tid()
-    centre = from_half(blurred[pixel])
+    centre = unpack_halves(blurred[pixel])
     out = rgba(rgb(centre), wp.where(centre[3] >= 0.0, 1.0, 0.0))
     surface = gbuffer.depth[pixel] < SKY_DEPTH
     reach = int(centre[3])
@@ -145,7 +147,7 @@ def blur_diffuse_y(
         reach = radius
     if surface and reach > 0:
         plane = pixel_plane(views[0], gbuffer, width, pixel)
-        normal = unpack_normal(gbuffer.normal[pixel])
+        normal = unit_normal(gbuffer.normal[pixel])
         y = pixel // width
         sum = wp.vec3(0.0, 0.0, 0.0)
         total = float(0.0)
@@ -153,8 +155,8 @@ def blur_diffuse_y(
         end = wp.min(reach, height - 1 - y)
         while offset <= end:
             q = pixel + offset * width
-            value = from_half(blurred[q])
-            w = plane_weight(plane, 0, offset, gbuffer.depth[q])
+            value = unpack_halves(blurred[q])
+            w = surface_weight(plane, 0, offset, gbuffer.depth[q])
             if w > 0.0 and value[3] >= 0.0:
                 w *= tap_factor(gbuffer, q, offset, reach, normal)
                 sum += rgb(value) * w
@@ -162,7 +164,7 @@ def blur_diffuse_y(
             offset += 1
         if total > 1.0e-6:
             out = rgba(sum / total, 1.0)
-            length = float(history_out.state[pixel][0])
+            length = unpack_first(history_out.state[pixel])
             if length >= 0.0 and length < FEEDBACK_FRAMES:
                 history_out.irradiance[pixel] = pack_mean(rgb(out))
-    irradiance_out[pixel] = to_half(out)
+    irradiance_out[pixel] = pack_halves(out)

@@ -12,12 +12,26 @@ import warp as wp
 from .filter_weights import brightness
 from .gbuffer import GBuffer
 from .geometry_math import is_finite3
-from .long_mean import ALL_TAPS, TAP_MINIMUM, gather_mean, gather_sharpness, history_cap, pack_mean, usable_weight
-from .packing import from_half, rgb, to_half
-from .reprojection import Reprojection, tap_pixel
+from .long_mean import (
+    ALL_TAPS,
+    EDIT_FRAMES,
+    TAP_MINIMUM,
+    gather_mean,
+    history_cap,
+    nearest_tap,
+    off_centre,
+    pack_mean,
+    surrounded,
+    unpack_mean,
+    usable_weight,
+)
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb
+from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import SKY_DEPTH, View, settling_frames
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# Fast: means and weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Frames in the short mean.
 FAST_FRAMES = wp.constant(4.0)
@@ -30,6 +44,8 @@ CHANGING_DEVIATIONS = wp.constant(0.5)
 DEVIATION_FRAMES = wp.constant(256.0)
 # Of the frames since light began to spread, those that a mean may reach back: the first lack most of its bounces.
 SETTLING_SHARE = wp.constant(0.5)
+# Confidence below which light does not replace the light from before an edit all the faster.
+CONFIDENCE_MINIMUM = wp.constant(0.1)
 
 # Frames at rest between which trust moves from the change detector to the mean.
 REST_START = wp.constant(16.0)
@@ -42,9 +58,9 @@ class DiffuseHistory:
 
     irradiance: wp.array[wp.uint64]
     """pack_mean of irradiance / pi"""
-    state: wp.array[wp.vec4h]
-    """Frames in the mean (-1: nothing known, 0: only a guess); short mean and standard deviation of the luminance; how
-    much it is changing (0..1)"""
+    state: wp.array[wp.uint64]
+    """pack_halves: frames in the mean (-1: nothing known, 0: only a guess); short mean and standard deviation of the
+    luminance; how much it is changing (0..1)"""
 
 
 @wp.struct
@@ -74,11 +90,31 @@ def unknown_light() -> DiffuseMean:
 
 
 @wp.func
+def with_state(m: DiffuseMean, state: wp.vec4) -> DiffuseMean:
+    """Return the mean with everything but its light set from DiffuseHistory.state."""
+    out = m
+    out.length = state[0]
+    out.fast = state[1]
+    out.deviation = state[2]
+    out.change = state[3]
+    return out
+
+
+@wp.func
 def gather_diffuse(
     history: DiffuseHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
 ) -> DiffuseMean:
     """Return the mean of the frame before at a pixel's surface; its length is -1 where there is none."""
     m = unknown_light()
+    if not off_centre(position):
+        nearest = nearest_tap(position)
+        if has_tap(taps, nearest):
+            pixel = tap_pixel(position, nearest, width)
+            found = unpack_halves(history.state[pixel])
+            if found[0] > 0.0:
+                m = with_state(m, found)
+                m.irradiance = unpack_mean(history.irradiance[pixel])
+        return m
     weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
     state = wp.vec4(0.0, 0.0, 0.0, 0.0)
     total = float(0.0)
@@ -86,21 +122,18 @@ def gather_diffuse(
     for tap in range(4):
         w = usable_weight(position, taps, tap)
         if w > 0.0:
-            found = from_half(history.state[tap_pixel(position, tap, width)])
-            if found[0] > 0.0:
+            around = unpack_halves(history.state[tap_pixel(position, tap, width)])
+            if around[0] > 0.0:
                 weights[tap] = w
                 total += w
-                state += found * w
+                state += around * w
             else:
                 complete = False
     if total > TAP_MINIMUM:
         scale = 1.0 / total
-        m.length = state[0] * scale
-        m.fast = state[1] * scale
-        m.deviation = state[2] * scale
-        m.change = state[3] * scale
-        sharpness = gather_sharpness(gbuffer, position, complete, width, height)
-        m.irradiance = gather_mean(history.irradiance, position, weights * scale, sharpness, width, height)
+        m = with_state(m, state * scale)
+        wide = complete and surrounded(gbuffer, position, width, height)
+        m.irradiance = gather_mean(history.irradiance, position, weights * scale, complete, wide, width, height)
     return m
 
 
@@ -163,7 +196,7 @@ def accumulate_diffuse(
     reprojection: Reprojection,
     width: int,
     height: int,
-    irradiance: wp.array[wp.vec4h],
+    irradiance: wp.array[wp.uint64],
     history: DiffuseHistory,
     frames: float,
     # Out:
@@ -173,12 +206,12 @@ def accumulate_diffuse(
 
     In detail:
         first: Of the band.
-        irradiance: This frame's irradiance / pi, exposed; w = confidence, 0..1.
+        irradiance: pack_halves of this frame's irradiance / pi, exposed; w = confidence, 0..1.
         history: Of the frame before.
         frames: Cap of the mean's length in motion.
 
-    53 bytes a pixel: 37 read (depth 4, reprojection 9, light 8, history 16 from one to four pixels, cached; the
-    means, depths and normals of 16 pixels while the camera moves), 16 written.
+    53 bytes a pixel: 37 read (depth 4, reprojection 9, light 8, history 16 from one pixel, or while the
+    camera moves the means and depths of 12, cached), 16 written.
     """
     pixel = first + wp.tid()
     view = views[0]
@@ -187,11 +220,16 @@ def accumulate_diffuse(
         if view.restart == 0:
             m = gather_diffuse(
                 history, previous_gbuffer, reprojection.position[pixel], reprojection.taps[pixel], width, height)
-        new = from_half(irradiance[pixel])
+        new = unpack_halves(irradiance[pixel])
         if is_finite3(rgb(new)) and wp.isfinite(new[3]):
             light = wp.max(rgb(new), wp.vec3(0.0, 0.0, 0.0))
             cap = wp.min(
                 history_cap(view.rest, view.light_age, frames), 1.0 + SETTLING_SHARE * settling_frames(view))
-            m = add_irradiance(m, light, wp.clamp(new[3], 0.0, 1.0), view.rest, wp.max(cap, 1.0))
+            confidence = wp.clamp(new[3], 0.0, 1.0)
+            cap = wp.max(cap, 1.0)
+            if view.light_age < EDIT_FRAMES:
+                # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
+                cap *= wp.max(confidence, CONFIDENCE_MINIMUM)
+            m = add_irradiance(m, light, confidence, view.rest, cap)
     history_out.irradiance[pixel] = pack_mean(m.irradiance)
-    history_out.state[pixel] = to_half(wp.vec4(m.length, m.fast, m.deviation, m.change))
+    history_out.state[pixel] = pack_halves(wp.vec4(m.length, m.fast, m.deviation, m.change))

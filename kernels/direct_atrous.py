@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Spatial half of the direct light's denoiser: the a-trous filter (SVGF, Schied et al. 2017, section 4.3).
 
-3x3 taps (1, 2, 1) at strides 1, 2, 4. A tap counts as far as its light differs from the centre's by no more than the
-errors of both explain; the errors of the means shrink with their length, so at rest the blur vanishes with the noise.
-Unlike the published filter, this one exchanges light instead of averaging it: what weights leave over stays with the
-centre, and the weights are the same seen from either pixel. So rare bright samples lose only what others gain.
+3x3 taps (1, 2, 1) at first, then four at strides 2, 4 ..., on a grid turned against the pixels' so that they fall
+between those of before: as wide a blur as of 3x3 for half the reads. A tap counts as far as its light differs from
+the centre's by no more than the errors of both explain; the errors of the means shrink with their length, so at rest
+the blur vanishes with the noise. Unlike the published filter, this one exchanges light instead of averaging it: what
+weights leave over stays with the centre, and the weights are the same seen from either pixel. So rare bright samples
+lose only what others gain.
 """
 
 from __future__ import annotations
@@ -12,18 +14,31 @@ from __future__ import annotations
 import warp as wp
 
 from .direct_temporal import FAST_FRAMES, DirectHistory
-from .filter_weights import PixelPlane, brightness, pixel_plane, plane_weight, power_32
+from .filter_weights import (
+    PixelPlane,
+    brightness,
+    inside,
+    pixel_plane,
+    sharp_normal_weight,
+    squared_cosine,
+    surface_weight,
+    unit_normal,
+)
 from .gbuffer import GBuffer
 from .long_mean import pack_mean
-from .packing import from_half, rgb, rgba, to_half, unpack_normal
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb, rgba
 from .view import SKY_DEPTH, View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# Fast: weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Standard deviations of a difference that still counts as noise (SVGF's sigma_l).
 DEVIATIONS = wp.constant(4.0)
 # Relative difference of short and long mean that is always taken for noise.
 MARGIN = wp.constant(0.04)
+# Relative difference that is always taken for noise: a half-float's rounding.
+ROUNDING = wp.constant(1.0e-3)
 # Standard errors by which means must differ for a change to be seen, and for one that was seen to go on.
 CHANGE_DEVIATIONS = wp.constant(2.5)
 CHANGING_DEVIATIONS = wp.constant(1.0)
@@ -31,6 +46,8 @@ CHANGING_DEVIATIONS = wp.constant(1.0)
 FEEDBACK_FRAMES = wp.constant(5.0)
 # Frames at rest after which changes are no longer looked for: what looks like one is chance.
 REST_FRAMES = wp.constant(16.0)
+# Weight of each of four taps: it gives their blur the variance of (1, 2, 1) both ways.
+TAP_WEIGHT = wp.constant(0.2)
 
 
 @wp.struct
@@ -50,25 +67,52 @@ class FilterSums:
     variance: float
 
 
+@wp.struct
+class PairSums:
+    """Sums over the taps of both signals."""
+
+    diffuse: FilterSums
+    specular: FilterSums
+
+
+@wp.struct
+class ChangeSums:
+    """Weighted sums over the taps by which changes are found."""
+
+    diffuse: wp.vec4
+    """Difference of short and long mean, its square, the short mean's variance, and the light"""
+    specular: wp.vec4
+    weight: float
+
+
 @wp.func
-def noise_weight(p: wp.vec4, q: wp.vec4) -> float:
-    """Return how well two pixels' lights agree within their errors."""
-    if p[3] < 0.0:
-        return 1.0
-    a = brightness(rgb(p))
-    b = brightness(rgb(q))
+def noise_weight(a: float, a_variance: float, b: float, b_error: float) -> float:
+    """Return how well the luminances of two pixels agree within their errors.
+
+    In detail:
+        a_variance: As own_variance gives it.
+        b_error: Standard deviation.
+    """
     # The smallest width: a half-float's rounding.
-    width = DEVIATIONS * wp.sqrt(p[3] * p[3] + q[3] * q[3]) + 1.0e-3 * wp.min(a, b) + 1.0e-7
-    return wp.exp(-wp.abs(a - b) / width)
+    rounding = ROUNDING * wp.min(a, b) + 1.0e-7
+    width = (a_variance + b_error * b_error) * (DEVIATIONS * DEVIATIONS) + rounding * rounding
+    return wp.exp(-wp.abs(a - b) * (1.0 / wp.sqrt(width)))
+
+
+@wp.func
+def own_variance(light: wp.vec4) -> float:
+    """Return the variance of a pixel's luminance, so large that it agrees with any where nothing is known."""
+    return wp.where(light[3] < 0.0, 1.0e20, light[3] * light[3])
 
 
 @wp.func
 def add_tap(sums: FilterSums, value: wp.vec4, weight: float) -> FilterSums:
     """Return the sums after one tap."""
     out = sums
+    error = value[3] * weight
     out.color = sums.color + rgb(value) * weight
     out.weight = sums.weight + weight
-    out.variance = sums.variance + value[3] * value[3] * weight * weight
+    out.variance = sums.variance + error * error
     return out
 
 
@@ -86,52 +130,75 @@ def filtered(sums: FilterSums, centre: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def tap_geometry(
-    gbuffer: GBuffer, plane: PixelPlane, normal: wp.vec3, pixel: int, width: int, height: int, dx: int, dy: int,
-) -> float:
-    """Return the weight of a tap by its surface alone, 0 outside the picture."""
-    x = pixel % width + dx
-    y = pixel // width + dy
-    if x < 0 or x >= width or y < 0 or y >= height:
-        return 0.0
-    q = y * width + x
-    w = plane_weight(plane, dx, dy, gbuffer.depth[q])
-    if w > 0.0:
-        w *= power_32(wp.dot(normal, unpack_normal(gbuffer.normal[q])))
-    return w
+def add_pair(sums: PairSums, centre: LightPair, tap: LightPair, weight: float) -> PairSums:
+    """Return the sums after one tap; each signal is weighed by its own noise."""
+    out = sums
+    out.diffuse = add_tap(sums.diffuse, tap.diffuse, weight * noise_weight(
+        brightness(rgb(centre.diffuse)), own_variance(centre.diffuse), brightness(rgb(tap.diffuse)), tap.diffuse[3]))
+    out.specular = add_tap(sums.specular, tap.specular, weight * noise_weight(
+        brightness(rgb(centre.specular)), own_variance(centre.specular), brightness(rgb(tap.specular)),
+        tap.specular[3]))
+    return out
 
 
 @wp.func
-def filter_pair(
-    view: View, gbuffer: GBuffer, width: int, height: int, stride: int, pixel: int, diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h],
-) -> LightPair:
-    """Return both lights after one pass of the filter."""
-    centre = LightPair()
-    centre.diffuse = from_half(diffuse[pixel])
-    centre.specular = from_half(specular[pixel])
-    plane = pixel_plane(view, gbuffer, width, pixel)
-    normal = unpack_normal(gbuffer.normal[pixel])
-    d = FilterSums()
-    s = FilterSums()
-    index = int(0)
-    while index < 9:
-        i = index % 3 - 1
-        j = index // 3 - 1
-        index += 1
-        w = tap_geometry(gbuffer, plane, normal, pixel, width, height, i * stride, j * stride)
-        if w > 0.0 and (i != 0 or j != 0):
-            q = pixel + (j * width + i) * stride
-            tap_d = from_half(diffuse[q])
-            tap_s = from_half(specular[q])
-            # (1, 2, 1) / 4 both ways
-            w *= wp.where(i == 0, 0.5, 0.25) * wp.where(j == 0, 0.5, 0.25)
-            if tap_d[3] >= 0.0:
-                d = add_tap(d, tap_d, w * noise_weight(centre.diffuse, tap_d))
-                s = add_tap(s, tap_s, w * noise_weight(centre.specular, tap_s))
+def filtered_pair(sums: PairSums, centre: LightPair) -> LightPair:
+    """Return both lights after the exchange."""
     out = LightPair()
-    out.diffuse = filtered(d, centre.diffuse)
-    out.specular = filtered(s, centre.specular)
+    out.diffuse = filtered(sums.diffuse, centre.diffuse)
+    out.specular = filtered(sums.specular, centre.specular)
+    return out
+
+
+@wp.func
+def finished(light: LightPair, last: int) -> LightPair:
+    """Return the light as it is handed on: after the last pass w = 1 where light is known, else 0."""
+    out = light
+    if last == 1:
+        out.diffuse[3] = wp.where(light.diffuse[3] >= 0.0, 1.0, 0.0)
+        out.specular[3] = out.diffuse[3]
+    return out
+
+
+@wp.func
+def near_pixel(x: int, y: int, width: int, height: int) -> int:
+    """Return the pixel at a place, or the one closest to it in the picture."""
+    return wp.clamp(y, 0, height - 1) * width + wp.clamp(x, 0, width - 1)
+
+
+@wp.func
+def geometry_weight(
+    gbuffer: GBuffer, plane: PixelPlane, normal: wp.vec3, q: int, dx: int, dy: int,
+) -> float:
+    """Return the weight of a tap (dx, dy) away by its surface alone."""
+    w = surface_weight(plane, dx, dy, gbuffer.depth[q])
+    return w * sharp_normal_weight(squared_cosine(normal, gbuffer.normal[q]))
+
+
+@wp.func
+def load_light(diffuse: wp.array[wp.uint64], specular: wp.array[wp.uint64], pixel: int) -> LightPair:
+    """Return both lights of a pixel."""
+    light = LightPair()
+    light.diffuse = unpack_halves(diffuse[pixel])
+    light.specular = unpack_halves(specular[pixel])
+    return light
+
+
+@wp.func
+def add_change(sums: ChangeSums, light: LightPair, moments: wp.vec4, weight: float) -> ChangeSums:
+    """Return the sums after one pixel."""
+    out = sums
+    # Variance of the short mean for that of a sample.
+    fast = 1.0 / (2.0 * FAST_FRAMES - 1.0)
+    long_d = brightness(rgb(light.diffuse))
+    long_s = brightness(rgb(light.specular))
+    change_d = moments[2] - long_d
+    change_s = moments[3] - long_s
+    out.diffuse = sums.diffuse + wp.vec4(
+        change_d, change_d * change_d, moments[0] * moments[0] * fast, wp.max(moments[2], long_d)) * weight
+    out.specular = sums.specular + wp.vec4(
+        change_s, change_s * change_s, moments[1] * moments[1] * fast, wp.max(moments[3], long_s)) * weight
+    out.weight = sums.weight + weight
     return out
 
 
@@ -140,7 +207,7 @@ def change_score(sums: wp.vec4, scale: float, threshold: float) -> float:
     """Return 0..1: by how many standard errors more than the threshold short and long mean differ, halved.
 
     Args:
-        sums: Weighted sums of the difference, its square, the short mean's variance, and the light.
+        sums: As in ChangeSums.
         scale: 1 / sum of the weights.
         threshold: In standard errors.
     """
@@ -149,45 +216,6 @@ def change_score(sums: wp.vec4, scale: float, threshold: float) -> float:
     light = sums[3] * scale
     error = wp.sqrt(spread / 9.0 + MARGIN * MARGIN * light * light) + 1.0e-7
     return wp.clamp((wp.abs(difference) / error - threshold) * 0.5, 0.0, 1.0)
-
-
-@wp.func
-def light_change(
-    view: View, gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h], moments: wp.array[wp.vec4h], threshold: float,
-) -> float:
-    """Return 0..1: whether the light at a pixel has changed, by short against long means over 3x3 pixels.
-
-    Over one pixel alone the first hit of a rarely seen lamp would look like a change, and so would its absence.
-    """
-    plane = pixel_plane(view, gbuffer, width, pixel)
-    normal = unpack_normal(gbuffer.normal[pixel])
-    d = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    s = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    total = float(0.0)
-    # Variance of the short mean for that of a sample.
-    fast = 1.0 / (2.0 * FAST_FRAMES - 1.0)
-    index = int(0)
-    while index < 9:
-        i = index % 3 - 1
-        j = index // 3 - 1
-        index += 1
-        w = tap_geometry(gbuffer, plane, normal, pixel, width, height, i, j)
-        if w > 0.0:
-            q = pixel + j * width + i
-            tap_d = from_half(diffuse[q])
-            if tap_d[3] >= 0.0:
-                long_d = brightness(rgb(tap_d))
-                long_s = brightness(rgb(from_half(specular[q])))
-                m = from_half(moments[q])
-                change_d = m[2] - long_d
-                change_s = m[3] - long_s
-                total += w
-                d += wp.vec4(change_d, change_d * change_d, m[0] * m[0] * fast, wp.max(m[2], long_d)) * w
-                s += wp.vec4(change_s, change_s * change_s, m[1] * m[1] * fast, wp.max(m[3], long_s)) * w
-    if total < 1.0e-6:
-        return 0.0
-    return wp.max(change_score(d, 1.0 / total, threshold), change_score(s, 1.0 / total, threshold))
 
 
 @wp.kernel
@@ -200,55 +228,75 @@ def filter_direct_first(
     height: int,
     filtering: int,
     last: int,
-    diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h],
+    diffuse: wp.array[wp.uint64],
+    specular: wp.array[wp.uint64],
     # Out:
-    diffuse_out: wp.array[wp.vec4h],
-    specular_out: wp.array[wp.vec4h],
+    diffuse_out: wp.array[wp.uint64],
+    specular_out: wp.array[wp.uint64],
     history_out: DirectHistory,
 ):
     """First pass of the a-trous filter, which also finds changes and feeds short histories (SVGF, section 4.1).
 
+    Changes are found by short against long means over 3x3 pixels: over one alone the first hit of a rarely seen lamp
+    would look like a change, and so would its absence.
     Banded over pixels; of `history_out` only the own pixel's means and length are changed, and neighbours' moments
     read. 64 bytes a pixel: 46 read (surface 12, light 16, moments 8, length 2; nine pixels, cached), 18 written; 16
     more where the history is short.
 
     In detail:
         first: Of the band.
-        filtering: 0: only look for changes.
+        filtering: 0: light is passed on as it is; only look for changes.
         last: 1: nothing follows; w becomes 1 where light is known, else 0.
-        diffuse: Mean and its standard deviation, as accumulate_direct writes it.
+        diffuse: pack_halves of mean and standard deviation, as accumulate_direct writes it.
         specular: Like `diffuse`.
     """
     pixel = first + wp.tid()
-    view = views[0]
-    light = LightPair()
-    light.diffuse = from_half(diffuse[pixel])
-    light.specular = from_half(specular[pixel])
+    light = load_light(diffuse, specular, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH:
+        view = views[0]
         signed_length = float(history_out.length[pixel])
         length = wp.abs(signed_length)
+        moving = 1.0 - float(view.rest) / REST_FRAMES
+        plane = pixel_plane(view, gbuffer, width, pixel)
+        normal = unit_normal(gbuffer.normal[pixel])
+        x = pixel % width
+        y = pixel // width
+        sums = PairSums()
+        change = ChangeSums()
+        if moving > 0.0 and light.diffuse[3] >= 0.0:
+            change = add_change(change, light, unpack_halves(history_out.moments[pixel]), 1.0)
+        for index in range(9):
+            if index != 4:
+                i = index % 3 - 1
+                j = index // 3 - 1
+                q = near_pixel(x + i, y + j, width, height)
+                w = geometry_weight(gbuffer, plane, normal, q, i, j)
+                tap = load_light(diffuse, specular, q)
+                if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
+                    w = float(0.0)
+                # (1, 2, 1) / 4 both ways
+                sums = add_pair(sums, light, tap, w * (0.125 if index % 2 == 1 else 0.0625))
+                if moving > 0.0:
+                    change = add_change(change, tap, unpack_halves(history_out.moments[q]), w)
         if filtering == 1:
             unfiltered = light
-            light = filter_pair(view, gbuffer, width, height, 1, pixel, diffuse, specular)
+            light = filtered_pair(sums, unfiltered)
             share = 1.0 - (length - 1.0) / (FEEDBACK_FRAMES - 1.0)
             if length > 0.0 and share > 0.0:
                 history_out.diffuse[pixel] = pack_mean(
                     wp.lerp(rgb(unfiltered.diffuse), rgb(light.diffuse), wp.min(share, 1.0)))
                 history_out.specular[pixel] = pack_mean(
                     wp.lerp(rgb(unfiltered.specular), rgb(light.specular), wp.min(share, 1.0)))
-        moving = 1.0 - float(view.rest) / REST_FRAMES
-        if length > 0.0 and moving > 0.0:
+        if length > 0.0 and moving > 0.0 and change.weight > 1.0e-6:
             threshold = wp.where(signed_length < 0.0, CHANGING_DEVIATIONS, CHANGE_DEVIATIONS)
-            change = moving * light_change(
-                view, gbuffer, width, height, pixel, diffuse, specular, history_out.moments, threshold)
+            scale = 1.0 / change.weight
+            changed = moving * wp.max(
+                change_score(change.diffuse, scale, threshold), change_score(change.specular, scale, threshold))
             # Negative also marks that it goes on.
-            history_out.length[pixel] = wp.float16(wp.where(change > 0.0, -1.0, 1.0) * length * (1.0 - change))
-    if last == 1:
-        light.diffuse[3] = wp.where(light.diffuse[3] >= 0.0, 1.0, 0.0)
-        light.specular[3] = light.diffuse[3]
-    diffuse_out[pixel] = to_half(light.diffuse)
-    specular_out[pixel] = to_half(light.specular)
+            history_out.length[pixel] = wp.float16(wp.where(changed > 0.0, -1.0, 1.0) * length * (1.0 - changed))
+    light = finished(light, last)
+    diffuse_out[pixel] = pack_halves(light.diffuse)
+    specular_out[pixel] = pack_halves(light.specular)
 
 
 @wp.kernel
@@ -260,22 +308,24 @@ def filter_direct(
     width: int,
     height: int,
     stride: int,
+    turn: int,
     last: int,
-    diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h],
+    diffuse: wp.array[wp.uint64],
+    specular: wp.array[wp.uint64],
     # Out:
-    diffuse_out: wp.array[wp.vec4h],
-    specular_out: wp.array[wp.vec4h],
+    diffuse_out: wp.array[wp.uint64],
+    specular_out: wp.array[wp.uint64],
 ):
     """Further pass of the a-trous filter (SVGF, section 4.3); banded over pixels.
 
-    44 bytes a pixel: 28 read (surface 12, light 16; nine pixels, cached), 16 written.
+    44 bytes a pixel: 28 read (surface 12, light 16; five pixels, cached), 16 written.
 
     In detail:
         first: Of the band.
-        stride: Between taps [px].
+        stride: Between taps along one axis [px]; even.
+        turn: Half of it or its negative: along the other axis.
         last: 1: nothing follows; w becomes 1 where light is known, else 0.
-        diffuse: Filtered so far; w = standard deviation.
+        diffuse: pack_halves of what is filtered so far; w = standard deviation.
         specular: Like `diffuse`.
     """
     pixel = first + wp.tid()
@@ -283,9 +333,25 @@ def filter_direct(
     light.diffuse = wp.vec4(0.0, 0.0, 0.0, -1.0)
     light.specular = wp.vec4(0.0, 0.0, 0.0, -1.0)
     if gbuffer.depth[pixel] < SKY_DEPTH:
-        light = filter_pair(views[0], gbuffer, width, height, stride, pixel, diffuse, specular)
-    if last == 1:
-        light.diffuse[3] = wp.where(light.diffuse[3] >= 0.0, 1.0, 0.0)
-        light.specular[3] = light.diffuse[3]
-    diffuse_out[pixel] = to_half(light.diffuse)
-    specular_out[pixel] = to_half(light.specular)
+        centre = load_light(diffuse, specular, pixel)
+        plane = pixel_plane(views[0], gbuffer, width, pixel)
+        normal = unit_normal(gbuffer.normal[pixel])
+        x = pixel % width
+        y = pixel // width
+        sums = PairSums()
+        for index in range(4):
+            # (stride, turn), turned by a quarter each time
+            along = stride if index % 2 == 0 else -turn
+            across = turn if index % 2 == 0 else stride
+            i = along if index < 2 else -along
+            j = across if index < 2 else -across
+            q = near_pixel(x + i, y + j, width, height)
+            w = geometry_weight(gbuffer, plane, normal, q, i, j) * TAP_WEIGHT
+            tap = load_light(diffuse, specular, q)
+            if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
+                w = float(0.0)
+            sums = add_pair(sums, centre, tap, w)
+        light = filtered_pair(sums, centre)
+    light = finished(light, last)
+    diffuse_out[pixel] = pack_halves(light.diffuse)
+    specular_out[pixel] = pack_halves(light.specular)

@@ -66,7 +66,6 @@ def draw_candidates(
     r = Reservoir()
     r.count = float(options.candidates)
     total = float(0.0)
-    kept = float(0.0)
     left = float(random)
     k = int(0)
     while k < options.candidates:
@@ -85,12 +84,12 @@ def draw_candidates(
                 if left < share:
                     left = left / share
                     r.candidate = choice.candidate
-                    kept = value
+                    r.value = value
                 else:
                     left = (left - share) / (1.0 - share)
         k = k + 1
-    if kept > 0.0:
-        r.weight = wp.min(total / (float(options.candidates) * kept), LARGE)
+    if r.value > 0.0:
+        r.weight = wp.min(total / (float(options.candidates) * r.value), LARGE)
     return r
 
 
@@ -128,7 +127,7 @@ def join(
     before: Reservoir, random: float,
 ) -> Reservoir:
     """Join this frame's reservoir at `p` with one of the frame before at `q`."""
-    here = target_of(scene, split, options, p, now.candidate)
+    here = now.value
     now_weight = float(0.0)
     if here > 0.0:
         there = target_of(scene, split, options, q, now.candidate)

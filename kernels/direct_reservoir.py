@@ -89,6 +89,8 @@ class Reservoir:
     candidate: Candidate
     weight: float
     count: float
+    value: float
+    """Target of the candidate where it was drawn; not kept from frame to frame"""
 
 
 @wp.struct

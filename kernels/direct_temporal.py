@@ -9,20 +9,44 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_weights import brightness, pixel_plane, plane_weight, power_32
+from .filter_weights import (
+    brightness,
+    inside,
+    pixel_plane,
+    sharp_normal_weight,
+    squared_cosine,
+    surface_weight,
+    unit_normal,
+)
 from .gbuffer import GBuffer
 from .geometry_math import is_finite3
-from .long_mean import ALL_TAPS, TAP_MINIMUM, gather_mean, gather_sharpness, history_cap, pack_mean, usable_weight
-from .packing import from_half, rgb, rgba, to_half, unpack_normal
-from .reprojection import Reprojection, tap_pixel
+from .long_mean import (
+    ALL_TAPS,
+    EDIT_FRAMES,
+    TAP_MINIMUM,
+    gather_mean,
+    history_cap,
+    nearest_tap,
+    off_centre,
+    pack_mean,
+    surrounded,
+    unpack_mean,
+    usable_weight,
+)
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb, rgba
+from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import SKY_DEPTH, View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# Fast: means and weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Frames in the short mean.
 FAST_FRAMES = wp.constant(5.0)
 # Frames below which the deviation is estimated from the neighbourhood (SVGF, section 4.2).
 SPATIAL_FRAMES = wp.constant(4.0)
+# What a mean's length keeps of itself in a frame without a sample after an edit: the next sample makes up for it.
+SKIPPED_SHARE = wp.constant(0.25)
 # Frames that the deviation is averaged over at most: more would be lost in a half-float's rounding.
 DEVIATION_FRAMES = wp.constant(256.0)
 
@@ -34,8 +58,8 @@ class DirectHistory:
     diffuse: wp.array[wp.uint64]
     """pack_mean"""
     specular: wp.array[wp.uint64]
-    moments: wp.array[wp.vec4h]
-    """Standard deviation of a sample's luminance, diffuse and specular; short mean of both"""
+    moments: wp.array[wp.uint64]
+    """pack_halves: standard deviation of a sample's luminance, diffuse and specular; short mean of both"""
     length: wp.array[wp.float16]
     """Frames in the mean; 0: none. Negative: as many, and the light is changing"""
 
@@ -70,6 +94,17 @@ def gather_direct(
 ) -> DirectMean:
     """Return the means of the frame before at a pixel's surface; its length is 0 where there are none."""
     m = empty_mean()
+    if not off_centre(position):
+        nearest = nearest_tap(position)
+        if has_tap(taps, nearest):
+            pixel = tap_pixel(position, nearest, width)
+            frames = float(history.length[pixel])
+            m.length = wp.abs(frames)
+            m.changed = wp.where(frames < 0.0, 1, 0)
+            m.moments = unpack_halves(history.moments[pixel])
+            m.diffuse = unpack_mean(history.diffuse[pixel])
+            m.specular = unpack_mean(history.specular[pixel])
+        return m
     weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
     moments = wp.vec4(0.0, 0.0, 0.0, 0.0)
     length = float(0.0)
@@ -83,7 +118,7 @@ def gather_direct(
             if frames != 0.0:
                 weights[tap] = w
                 total += w
-                moments += from_half(history.moments[pixel]) * w
+                moments += unpack_halves(history.moments[pixel]) * w
                 length += wp.abs(frames) * w
                 if frames < 0.0 and w > 0.25:
                     m.changed = 1
@@ -93,20 +128,23 @@ def gather_direct(
         scale = 1.0 / total
         m.moments = moments * scale
         m.length = length * scale
-        sharpness = gather_sharpness(gbuffer, position, complete, width, height)
-        m.diffuse = gather_mean(history.diffuse, position, weights * scale, sharpness, width, height)
-        m.specular = gather_mean(history.specular, position, weights * scale, sharpness, width, height)
+        wide = complete and surrounded(gbuffer, position, width, height)
+        m.diffuse = gather_mean(history.diffuse, position, weights * scale, complete, wide, width, height)
+        m.specular = gather_mean(history.specular, position, weights * scale, complete, wide, width, height)
     return m
 
 
 @wp.func
 def spatial_deviation(
-    view: View, gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h],
+    view: View, gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.uint64],
+    specular: wp.array[wp.uint64],
 ) -> wp.vec2:
-    """Return the standard deviations of the samples' luminances (diffuse, specular) over 5x5 pixels of the surface."""
+    """Return the standard deviations of the samples' luminances (diffuse, specular) around a pixel on its surface.
+
+    Every other one of 5x5 pixels, as on a chessboard: where every other pixel has a sample, those are the ones.
+    """
     plane = pixel_plane(view, gbuffer, width, pixel)
-    normal = unpack_normal(gbuffer.normal[pixel])
+    normal = unit_normal(gbuffer.normal[pixel])
     x = pixel % width
     y = pixel // width
     mean = wp.vec2(0.0, 0.0)
@@ -116,18 +154,17 @@ def spatial_deviation(
     while index < 25:
         dx = index % 5 - 2
         dy = index // 5 - 2
-        index += 1
-        if x + dx >= 0 and x + dx < width and y + dy >= 0 and y + dy < height:
-            q = pixel + dy * width + dx
-            d = from_half(diffuse[q])
-            s = from_half(specular[q])
-            values = wp.vec2(brightness(rgb(d)), brightness(rgb(s)))
-            w = plane_weight(plane, dx, dy, gbuffer.depth[q]) * power_32(
-                wp.dot(normal, unpack_normal(gbuffer.normal[q])))
-            if w > 0.0 and d[3] > 0.0 and wp.isfinite(values[0]) and wp.isfinite(values[1]):
-                mean += values * w
-                square += wp.cw_mul(values, values) * w
-                total += w
+        index += 2
+        q = wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)
+        d = unpack_halves(diffuse[q])
+        s = unpack_halves(specular[q])
+        values = wp.vec2(brightness(rgb(d)), brightness(rgb(s)))
+        w = surface_weight(plane, dx, dy, gbuffer.depth[q])
+        w *= sharp_normal_weight(squared_cosine(normal, gbuffer.normal[q]))
+        if inside(x + dx, y + dy, width, height) and d[3] > 0.0 and wp.isfinite(values[0]) and wp.isfinite(values[1]):
+            mean += values * w
+            square += wp.cw_mul(values, values) * w
+            total += w
     scale = 1.0 / wp.max(total, 1.0e-6)
     variance = square * scale - wp.cw_mul(mean, mean) * (scale * scale)
     return wp.vec2(wp.sqrt(wp.max(variance[0], 0.0)), wp.sqrt(wp.max(variance[1], 0.0)))
@@ -170,28 +207,28 @@ def accumulate_direct(
     reprojection: Reprojection,
     width: int,
     height: int,
-    diffuse: wp.array[wp.vec4h],
-    specular: wp.array[wp.vec4h],
+    diffuse: wp.array[wp.uint64],
+    specular: wp.array[wp.uint64],
     history: DirectHistory,
     frames: float,
     # Out:
     history_out: DirectHistory,
-    diffuse_out: wp.array[wp.vec4h],
-    specular_out: wp.array[wp.vec4h],
+    diffuse_out: wp.array[wp.uint64],
+    specular_out: wp.array[wp.uint64],
 ):
     """Average direct light over frames (SVGF, section 4.1); banded over pixels.
 
     In detail:
         first: Of the band.
-        diffuse: This frame's samples; w = 0: none.
+        diffuse: pack_halves of this frame's samples; w = 0: none.
         specular: Like `diffuse`, whose w counts for both.
         history: Of the frame before.
         frames: Cap of the mean's length in motion.
-        diffuse_out: Mean; w = standard deviation of its luminance, -1 where nothing is known.
+        diffuse_out: pack_halves of the mean; w = standard deviation of its luminance, -1 where nothing is known.
         specular_out: Like `diffuse_out`.
 
-    93 bytes a pixel: 51 read (depth 4, reprojection 9, samples 16, history 26 from one to four pixels, cached; the
-    means, depths and normals of 16 pixels while the camera moves), 42 written. New surfaces read 5x5 pixels more.
+    97 bytes a pixel: 55 read (depth 4, reprojection 9, samples 16, history 26 from one pixel, or while the camera moves
+    the means and depths of 12, cached), 42 written. New surfaces read the samples of 13 pixels more.
     """
     pixel = first + wp.tid()
     view = views[0]
@@ -200,8 +237,8 @@ def accumulate_direct(
         if view.restart == 0:
             m = gather_direct(
                 history, previous_gbuffer, reprojection.position[pixel], reprojection.taps[pixel], width, height)
-        d = from_half(diffuse[pixel])
-        s = from_half(specular[pixel])
+        d = unpack_halves(diffuse[pixel])
+        s = unpack_halves(specular[pixel])
         if d[3] > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
             zero = wp.vec3(0.0, 0.0, 0.0)
             cap = history_cap(view.rest, view.light_age, frames)
@@ -212,12 +249,14 @@ def accumulate_direct(
                     around = wp.max(around, wp.vec2(m.moments[0], m.moments[1]))
                 m.moments[0] = around[0]
                 m.moments[1] = around[1]
+        elif view.light_age < EDIT_FRAMES:
+            m.length *= SKIPPED_SHARE
     history_out.diffuse[pixel] = pack_mean(m.diffuse)
     history_out.specular[pixel] = pack_mean(m.specular)
-    history_out.moments[pixel] = to_half(m.moments)
+    history_out.moments[pixel] = pack_halves(m.moments)
     history_out.length[pixel] = wp.float16(wp.where(m.changed == 1, -m.length, m.length))
     error = wp.vec2(-1.0, -1.0)
     if m.length > 0.0:
         error = wp.vec2(m.moments[0], m.moments[1]) * wp.sqrt(1.0 / m.length)
-    diffuse_out[pixel] = to_half(rgba(m.diffuse, error[0]))
-    specular_out[pixel] = to_half(rgba(m.specular, error[1]))
+    diffuse_out[pixel] = pack_halves(rgba(m.diffuse, error[0]))
+    specular_out[pixel] = pack_halves(rgba(m.specular, error[1]))

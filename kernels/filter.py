@@ -60,6 +60,16 @@ def step_past(point: ShadingPoint, direction: wp.vec3, t: float) -> float:
 
 
 @wp.func
+def pass_chance(scene: Scene, point: ShadingPoint, transparency: wp.vec3, kind: int) -> float:
+    """Return the probability with which a ray passes a layer."""
+    chance = wp.clamp(max_component(transparency), 0.0, 1.0)
+    if (scene.materials.materials[point.material].flags & MATERIAL_EMISSION) != 0:
+        if (scene.geometry.instances[point.instance].visibility & kind) != 0:
+            chance = wp.min(chance, EMITTER_PASS_LIMIT)
+    return chance
+
+
+@wp.func
 def accept_hit(
     scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, first: Hit, kind: int, depth: int, cone: wp.vec2,
     noise: wp.uint32,
@@ -77,10 +87,7 @@ def accept_hit(
     for layer in range(MAX_LAYERS):
         point = layer_point(scene, hit, direction, kind, depth, cone)
         transparency = layer_transparency(scene, point, kind)
-        chance = wp.clamp(max_component(transparency), 0.0, 1.0)
-        if (scene.materials.materials[point.material].flags & MATERIAL_EMISSION) != 0:
-            if (scene.geometry.instances[point.instance].visibility & kind) != 0:
-                chance = wp.min(chance, EMITTER_PASS_LIMIT)
+        chance = pass_chance(scene, point, transparency, kind)
         if hashed_unit(noise, wp.uint32(layer)) >= chance:
             result.hit = hit
             result.weight = result.weight / (1.0 - chance)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter import accept_hit
+from .filter import FilteredHit, accept_hit
 from .gbuffer_rays import PrimaryHits, primary_ray
 from .intersect import MISS
 from .layers import LAYER_STREAM
@@ -16,6 +16,23 @@ from .types import VISIBLE_CAMERA, Scene
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def layer_noise(view: View, pixel: int, width: int) -> wp.uint32:
+    """Return the random number of a pixel's layers, another one in every frame."""
+    seed = pixel_seed_of(
+        view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
+    return hash_combine(hash_combine(seed, wp.uint32(view.frame)), wp.uint32(LAYER_STREAM))
+
+
+@wp.func
+def store_found(hits: PrimaryHits, pixel: int, found: FilteredHit):
+    """Put the hit that stops a ray in the place of the opaque one."""
+    hits.t[pixel] = found.hit.t
+    hits.hit[pixel] = wp.vec2i(found.hit.instance, found.hit.triangle)
+    hits.barycentrics[pixel] = wp.vec2(found.hit.u, found.hit.v)
+    hits.weight[pixel] = found.weight
 
 
 @wp.kernel
@@ -33,16 +50,10 @@ def filter_primary(
     if hits_out.layer[pixel][0] == MISS:
         return
     view = views[0]
-    x = pixel % width
-    y = pixel // width
-    seed = pixel_seed_of(view.camera.crop_x + x, view.camera.crop_y + y, view.camera.seed)
-    noise = hash_combine(hash_combine(seed, wp.uint32(view.frame)), wp.uint32(LAYER_STREAM))
-    ray = primary_ray(view, x, y)
+    noise = layer_noise(view, pixel, width)
+    ray = primary_ray(view, pixel % width, pixel // width)
     opaque = make_hit(hits_out.t[pixel], hits_out.hit[pixel], hits_out.barycentrics[pixel])
     layer = make_hit(hits_out.layer_t[pixel], hits_out.layer[pixel], hits_out.layer_barycentrics[pixel])
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
     found = accept_hit(scene, ray.origin, ray.direction, opaque, layer, VISIBLE_CAMERA, 0, cone, noise)
-    hits_out.t[pixel] = found.hit.t
-    hits_out.hit[pixel] = wp.vec2i(found.hit.instance, found.hit.triangle)
-    hits_out.barycentrics[pixel] = wp.vec2(found.hit.u, found.hit.v)
-    hits_out.weight[pixel] = found.weight
+    store_found(hits_out, pixel, found)

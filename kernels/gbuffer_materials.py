@@ -2,176 +2,25 @@
 """The kernel that runs the material of every pixel (or the world) and packs what it says into the G-buffer.
 
 Where a material mixes several BSDFs one is drawn with the pixel's random number of the frame, so that frames average
-to the mix. The BSDF is then reduced to one diffuse, one translucent and one GGX lobe of the same albedos.
+to the mix.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .camera import CameraRay
-from .gbuffer import SURFACE_BACKFACING, SURFACE_EMITS, GBuffer, SurfaceMaterial, store_material
+from .gbuffer import GBuffer
 from .gbuffer_rays import PrimaryHits, primary_ray
-from .geometry_math import (
-    is_finite3,
-    max_component,
-    mean_component,
-    safe_sqrt,
-    sqr,
-    transform_direction,
-    transform_normal,
-)
-from .intersect import MISS, surface_point
+from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
+from .intersect import MISS
 from .layering import prepare_bsdf
-from .nodes import run, world_point
-from .packing import pack_normal, pack_unorm16, rgba, to_half
-from .paths import make_hit
-from .reflectance import bsdf_albedo, fit_lobe
+from .nodes import run
+from .reflectance import bsdf_albedo
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
-from .tracing import FOOTPRINT_SCALE
-from .types import HOLDOUT, VISIBLE_CAMERA, Bsdf, Closure, FrameData, Geometry, Scene, ShadingPoint
-from .view import SKY_DEPTH, View, pixel_footprint, project
+from .types import Closure, Scene
+from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-# Tokuyoshi and Kaplanyan 2021: variance of a pixel's filter [px^2] and the largest widening of alpha squared.
-FILTER_VARIANCE = wp.constant(0.15915494)
-WIDENING_MAX = wp.constant(0.18)
-# A footprint seen more aslant than this grows no further.
-COSINE_MIN = wp.constant(0.1)
-
-
-@wp.func
-def finite_or_zero(v: wp.vec3) -> wp.vec3:
-    """Return v without negative components, 0 where one is not finite."""
-    if is_finite3(v):
-        return wp.max(v, wp.vec3(0.0, 0.0, 0.0))
-    return wp.vec3(0.0, 0.0, 0.0)
-
-
-@wp.func
-def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> float:
-    """Return the squared change of the interpolated normal over a vector in the triangle's plane."""
-    to_world = geometry.instances[point.instance].to_world
-    to_object = geometry.instances[point.instance].to_object
-    v = geometry.triangles[point.triangle]
-    corner = 3 * point.triangle
-    n0 = wp.normalize(transform_normal(to_object, geometry.normals[corner]))
-    n1 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 1]))
-    n2 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 2]))
-    p0 = geometry.positions[v[0]]
-    e1 = geometry.positions[v[1]] - p0
-    e2 = geometry.positions[v[2]] - p0
-    # Barycentric coordinates of the offset by the edges' Gram matrix; lengths in units of the first edge.
-    world1 = transform_direction(to_world, e1)
-    world2 = transform_direction(to_world, e2)
-    scale = 1.0 / wp.max(wp.length(world1), 1.0e-20)
-    world1 = world1 * scale
-    world2 = world2 * scale
-    a = wp.dot(world1, world1)
-    b = wp.dot(world1, world2)
-    c = wp.dot(world2, world2)
-    x = wp.dot(world1, offset) * scale
-    y = wp.dot(world2, offset) * scale
-    determinant = wp.max(a * c - b * b, 1.0e-12)
-    du = (c * x - b * y) / determinant
-    dv = (a * y - b * x) / determinant
-    return wp.length_sq((n1 - n0) * du + (n2 - n0) * dv)
-
-
-@wp.func
-def widened_roughness(
-    frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: float, roughness: float,
-) -> float:
-    """Return the roughness with the variance of the normal inside the pixel (Tokuyoshi and Kaplanyan 2021)."""
-    width = pixel_footprint(frame, depth)
-    m = frame.camera_to_world
-    right = wp.normalize(wp.vec3(m[0, 0], m[1, 0], m[2, 0])) * width
-    up = wp.normalize(wp.vec3(m[0, 1], m[1, 1], m[2, 1])) * width
-    n = point.geometric_normal
-    cosine = wp.max(wp.dot(point.wo, n), COSINE_MIN)
-    right = right - point.wo * (wp.dot(right, n) / cosine)
-    up = up - point.wo * (wp.dot(up, n) / cosine)
-    change = normal_change(geometry, point, right) + normal_change(geometry, point, up)
-    if not wp.isfinite(change):
-        return roughness
-    widening = wp.min(2.0 * FILTER_VARIANCE * change, WIDENING_MAX)
-    return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + widening)), 1.0)
-
-
-@wp.func
-def store_surface(
-    view: View, scene: Scene, point: ShadingPoint, bsdf: Bsdf, weight: wp.vec3, gbuffer: GBuffer, pixel: int,
-):
-    """Pack a surface whose BSDF is prepared."""
-    depth = project(view.camera, point.position)[2]
-    gbuffer.depth[pixel] = depth
-    gbuffer.hit[pixel] = wp.vec2i(point.instance, point.triangle)
-    gbuffer.barycentrics[pixel] = pack_unorm16(point.u, point.v)
-    gbuffer.geometric_normal[pixel] = pack_normal(point.geometric_normal)
-    normal = bsdf.normal
-    if not is_finite3(normal):
-        normal = point.geometric_normal
-    gbuffer.normal[pixel] = pack_normal(normal)
-    albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
-    material = SurfaceMaterial()
-    material.roughness = 1.0
-    if wp.isfinite(albedo.roughness):
-        material.roughness = widened_roughness(view.camera, scene.geometry, point, depth, albedo.roughness)
-    material = fit_lobe(scene.tables, albedo, wp.dot(bsdf.specular_normal, point.wo), material)
-    material.f90 = material.f90 * mean_component(weight)
-    if not wp.isfinite(material.f90):
-        material.f90 = 0.0
-    material.f0 = finite_or_zero(wp.cw_mul(material.f0, weight))
-    material.diffuse = finite_or_zero(wp.cw_mul(albedo.diffuse, weight))
-    material.translucent = finite_or_zero(wp.cw_mul(albedo.translucent, weight))
-    material.specular = finite_or_zero(wp.cw_mul(albedo.specular, weight))
-    emission = finite_or_zero(wp.cw_mul(bsdf.emission, weight)) * view.exposure
-    alpha = float(1.0)
-    if (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
-        # It keeps its geometry for the passes that look at neighbours, and gives no light at all.
-        material = SurfaceMaterial()
-        emission = wp.vec3(0.0, 0.0, 0.0)
-        alpha = 0.0
-    material.flags = wp.where(max_component(emission) > 0.0, SURFACE_EMITS, wp.uint32(0))
-    if point.backfacing == 1:
-        material.flags = material.flags | SURFACE_BACKFACING
-    store_material(gbuffer, pixel, material)
-    gbuffer.emission[pixel] = to_half(rgba(emission, alpha))
-
-
-@wp.func
-def store_world(view: View, scene: Scene, radiance: wp.vec3, weight: wp.vec3, gbuffer: GBuffer, pixel: int):
-    """Pack a pixel that shows the world."""
-    gbuffer.depth[pixel] = SKY_DEPTH
-    gbuffer.hit[pixel] = wp.vec2i(MISS, MISS)
-    gbuffer.barycentrics[pixel] = wp.uint32(0)
-    up = pack_normal(wp.vec3(0.0, 0.0, 1.0))
-    gbuffer.geometric_normal[pixel] = up
-    gbuffer.normal[pixel] = up
-    store_material(gbuffer, pixel, SurfaceMaterial())
-    light = finite_or_zero(wp.cw_mul(radiance, weight)) * view.exposure
-    if view.transparent == 1:
-        gbuffer.emission[pixel] = to_half(wp.vec4(0.0, 0.0, 0.0, 0.0))
-        return
-    if (scene.environment.visibility & VISIBLE_CAMERA) == 0:
-        light = wp.vec3(0.0, 0.0, 0.0)
-    gbuffer.emission[pixel] = to_half(rgba(light, 1.0))
-
-
-@wp.func
-def pixel_point(view: View, scene: Scene, hits: PrimaryHits, pixel: int, ray: CameraRay) -> ShadingPoint:
-    """Return the point at which a pixel's program runs: its hit, or the direction in which the world is seen."""
-    cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
-    if hits.hit[pixel][0] == MISS:
-        return world_point(ray.direction, VISIBLE_CAMERA, 0, cone[1])
-    t = hits.t[pixel]
-    point = surface_point(scene, make_hit(t, hits.hit[pixel], hits.barycentrics[pixel]), ray.direction)
-    point.footprint = cone[0] + cone[1] * t
-    point.ray_visibility = VISIBLE_CAMERA
-    point.ray_length = t
-    point.ray_depth = 0
-    return point
 
 
 @wp.kernel
@@ -182,12 +31,16 @@ def shade_primary(
     scene: Scene,
     width: int,
     filtered: int,
+    rest: int,
     hits: PrimaryHits,
     # Out:
     gbuffer_out: GBuffer,
 ):
-    """Fill the G-buffer but for its motion."""
+    """Fill the G-buffer but for its motion; `rest` 1: only where shade_lean has not."""
     pixel = first + wp.tid()
+    if rest == 1:
+        if gbuffer_out.hit[pixel][0] != LEFT:
+            return
     view = views[0]
     x = pixel % width
     y = pixel // width
@@ -211,4 +64,7 @@ def shade_primary(
             radiance = scene.environment.radiance
         store_world(view, scene, radiance, weight, gbuffer_out, pixel)
     else:
-        store_surface(view, scene, point, prepare_bsdf(scene.tables, closure, point), weight, gbuffer_out, pixel)
+        bsdf = prepare_bsdf(scene.tables, closure, point)
+        store_surface(
+            view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
+            wp.dot(bsdf.specular_normal, point.wo), bsdf.emission, weight, gbuffer_out, pixel)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import GBuffer
-from .packing import HALF_MAX, unpack_normal
+from .packing import HALF_MAX
 from .reprojection import has_tap, tap_pixel, tap_weight
 
-MANTISSA_BITS = wp.constant(wp.uint32(15))
-# Biased exponent of float32 that becomes 0 (no number): the smallest kept is 2^-47, the largest below 2^16.
-EXPONENT_ZERO = wp.constant(wp.uint32(79))
+# Brings 2^-47..2^16 down to where the exponent of float32 has its two upper bits 0, and back.
+PACK_SCALE = wp.constant(2.0**-79)
+UNPACK_SCALE = wp.constant(2.0**79)
+# Codes below have an exponent of 0: too small to be kept.
+SMALLEST_CODE = wp.constant(wp.uint32(1 << 15))
 COMPONENT_MASK = wp.constant(wp.uint64(0x1FFFFF))
 
 # Weight of all valid taps together below which a place has no history.
@@ -26,6 +28,8 @@ ALL_TAPS = wp.constant(15)
 ON_CENTRE = wp.constant(1.0e-3)
 # How far beyond its taps' range an interpolation may go, as a share of that range.
 RANGE_MARGIN = wp.constant(0.1)
+# Frames after an edit of the light in which what was before is dropped.
+EDIT_FRAMES = wp.constant(12)
 # Relative unevenness of depth that is no edge.
 FLAT = wp.constant(1.0e-4)
 
@@ -35,19 +39,14 @@ def pack_component(x: float) -> wp.uint64:
     """Round a number in 0..HALF_MAX to 21 bits; NaN becomes 0."""
     if not (x > 0.0):
         return wp.uint64(0)
-    bits = (wp.cast(wp.min(x, HALF_MAX), wp.uint32) + wp.uint32(128)) >> wp.uint32(8)
-    zero = EXPONENT_ZERO << MANTISSA_BITS
-    if bits < zero + (wp.uint32(1) << MANTISSA_BITS):
-        return wp.uint64(0)
-    return wp.uint64(bits - zero)
+    code = (wp.cast(wp.min(x, HALF_MAX) * PACK_SCALE, wp.uint32) + wp.uint32(128)) >> wp.uint32(8)
+    return wp.uint64(wp.where(code < SMALLEST_CODE, wp.uint32(0), code))
 
 
 @wp.func
-def unpack_component(packed: wp.uint64) -> float:
+def unpack_component(code: wp.uint32) -> float:
     """Return the number of pack_component."""
-    if packed == wp.uint64(0):
-        return 0.0
-    return wp.cast((wp.uint32(packed) + (EXPONENT_ZERO << MANTISSA_BITS)) << wp.uint32(8), wp.float32)
+    return wp.cast(code << wp.uint32(8), wp.float32) * UNPACK_SCALE
 
 
 @wp.func
@@ -61,8 +60,9 @@ def pack_mean(c: wp.vec3) -> wp.uint64:
 def unpack_mean(packed: wp.uint64) -> wp.vec3:
     """Return the colour of pack_mean."""
     return wp.vec3(
-        unpack_component(packed & COMPONENT_MASK), unpack_component((packed >> wp.uint64(21)) & COMPONENT_MASK),
-        unpack_component((packed >> wp.uint64(42)) & COMPONENT_MASK))
+        unpack_component(wp.uint32(packed & COMPONENT_MASK)),
+        unpack_component(wp.uint32((packed >> wp.uint64(21)) & COMPONENT_MASK)),
+        unpack_component(wp.uint32((packed >> wp.uint64(42)) & COMPONENT_MASK)))
 
 
 @wp.func
@@ -96,31 +96,47 @@ def cubic_weight(f: float, tap: int) -> float:
 
 
 @wp.func
-def gather_cubic(image: wp.array[wp.uint64], position: wp.vec2, width: int, height: int, wide: bool) -> wp.vec3:
-    """Return the Catmull-Rom interpolation of 4x4 pixels: bilinear taps would blur the light anew in every frame.
+def near_column(left: int, tap: int, width: int) -> int:
+    """Return column 0..3 (-1, 0, 1, 2) from `left`, within the picture."""
+    return wp.clamp(left - 1 + tap, 0, width - 1)
 
-    Its result is limited to the range of the inner 2x2, which keeps out what other surfaces there are around them;
-    where there are none (`wide`), to a little more than the range of all, so that peaks don't wear off in motion.
+
+@wp.func
+def gather_cubic(image: wp.array[wp.uint64], position: wp.vec2, width: int, height: int, wide: bool) -> wp.vec3:
+    """Return the Catmull-Rom interpolation between pixels: bilinear taps would blur the light anew in every frame.
+
+    Of the 4x4 pixels the corners are left out: cubic along rows plus cubic along columns minus bilinear, which is
+    exact but for terms of fourth order. The result is limited to the range of the inner 2x2, which keeps out what
+    other surfaces there are around them; where there are none (`wide`), to a little more than the range of all, so
+    that peaks don't wear off in motion.
     """
     left = int(wp.floor(position[0] - 0.5))
     low = int(wp.floor(position[1] - 0.5))
     fx = position[0] - 0.5 - float(left)
     fy = position[1] - 0.5 - float(low)
+    linear_x = wp.vec4(0.0, 1.0 - fx, fx, 0.0)
+    linear_y = wp.vec4(0.0, 1.0 - fy, fy, 0.0)
     least = wp.vec3(HALF_MAX, HALF_MAX, HALF_MAX)
     most = wp.vec3(0.0, 0.0, 0.0)
+    outer_least = least
+    outer_most = most
     sum = wp.vec3(0.0, 0.0, 0.0)
-    j = int(0)
-    while j < 4:
-        row = wp.clamp(low - 1 + j, 0, height - 1) * width
-        wy = cubic_weight(fy, j)
+    for j in range(4):
+        row = near_column(low, j, height) * width
+        cubic_y = cubic_weight(fy, j)
         for i in range(4):
-            c = unpack_mean(image[row + wp.clamp(left - 1 + i, 0, width - 1)])
-            sum += c * (wy * cubic_weight(fx, i))
-            if wide or (i > 0 and i < 3 and j > 0 and j < 3):
-                least = wp.min(least, c)
-                most = wp.max(most, c)
-        j += 1
+            if i % 3 != 0 or j % 3 != 0:
+                c = unpack_mean(image[row + near_column(left, i, width)])
+                sum += c * (cubic_weight(fx, i) * linear_y[j] + linear_x[i] * (cubic_y - linear_y[j]))
+                if i % 3 != 0 and j % 3 != 0:
+                    least = wp.min(least, c)
+                    most = wp.max(most, c)
+                else:
+                    outer_least = wp.min(outer_least, c)
+                    outer_most = wp.max(outer_most, c)
     if wide:
+        least = wp.min(least, outer_least)
+        most = wp.max(most, outer_most)
         margin = (most - least) * RANGE_MARGIN
         least = wp.max(least - margin, wp.vec3(0.0, 0.0, 0.0))
         most += margin
@@ -129,7 +145,7 @@ def gather_cubic(image: wp.array[wp.uint64], position: wp.vec2, width: int, heig
 
 @wp.func
 def surrounded(gbuffer: GBuffer, position: wp.vec2, width: int, height: int) -> bool:
-    """Return whether the 4x4 pixels around a place in a G-buffer show the same smooth surface as the inner 2x2."""
+    """Return whether the pixels that gather_cubic reads show the same smooth surface as the inner 2x2, by depths."""
     left = int(wp.floor(position[0] - 0.5))
     low = int(wp.floor(position[1] - 0.5))
     if left < 1 or low < 1 or left + 2 >= width or low + 2 >= height:
@@ -140,20 +156,14 @@ def surrounded(gbuffer: GBuffer, position: wp.vec2, width: int, height: int) -> 
     up = gbuffer.depth[corner + width] - depth
     # Depth is linear on a plane but for perspective, which bends it by far less than its step.
     tolerance = 0.5 * (wp.abs(across) + wp.abs(up)) + FLAT * depth
-    packed = gbuffer.geometric_normal[corner]
-    normal = unpack_normal(packed)
-    index = int(0)
-    while index < 16:
-        i = index % 4 - 1
-        j = index // 4 - 1
-        index += 1
-        q = corner + j * width + i
-        if wp.abs(gbuffer.depth[q] - depth - float(i) * across - float(j) * up) > tolerance:
-            return False
-        other = gbuffer.geometric_normal[q]
-        if other != packed and wp.dot(normal, unpack_normal(other)) < 0.95:
-            return False
-    return True
+    worst = float(0.0)
+    # All are read before any is judged: they wait for memory together.
+    for j in range(4):
+        for i in range(4):
+            if (i % 3 == 0) != (j % 3 == 0):
+                found = gbuffer.depth[corner + (j - 1) * width + i - 1]
+                worst = wp.max(worst, wp.abs(found - depth - float(i - 1) * across - float(j - 1) * up))
+    return worst <= tolerance
 
 
 @wp.func
@@ -165,25 +175,20 @@ def off_centre(position: wp.vec2) -> bool:
 
 
 @wp.func
-def gather_sharpness(gbuffer: GBuffer, position: wp.vec2, complete: bool, width: int, height: int) -> int:
-    """Return how means are read at a place in the frame before: 0 bilinear, 1 cubic within the inner taps, 2 cubic.
-
-    In detail:
-        gbuffer: Of the frame before.
-        complete: Whether all four taps show the surface and have a mean.
-    """
-    if not complete or not off_centre(position):
-        return 0
-    return wp.where(surrounded(gbuffer, position, width, height), 2, 1)
+def nearest_tap(position: wp.vec2) -> int:
+    """Return the tap that a place on a pixel's centre falls on."""
+    right = wp.where(position[0] - 0.5 - wp.floor(position[0] - 0.5) > 0.5, 1, 0)
+    above = wp.where(position[1] - 0.5 - wp.floor(position[1] - 0.5) > 0.5, 2, 0)
+    return right + above
 
 
 @wp.func
 def gather_mean(
-    image: wp.array[wp.uint64], position: wp.vec2, weights: wp.vec4, sharpness: int, width: int, height: int,
+    image: wp.array[wp.uint64], position: wp.vec2, weights: wp.vec4, sharp: bool, wide: bool, width: int, height: int,
 ) -> wp.vec3:
-    """Return a mean at a place between pixels; sharpness 0..2 as gather_sharpness gives it."""
-    if sharpness > 0:
-        return gather_cubic(image, position, width, height, sharpness == 2)
+    """Return a mean at a place between pixels: cubic if `sharp`, else of the taps that have a weight."""
+    if sharp:
+        return gather_cubic(image, position, width, height, wide)
     return gather_bilinear(image, position, weights, width)
 
 
@@ -194,7 +199,7 @@ def history_cap(rest: int, light_age: int, cap: float) -> float:
     At rest it rises by one a frame from `cap` to 1024, so that the mean becomes the plain average of all its frames.
     """
     limit = wp.min(cap + float(wp.min(rest, 1024)), 1024.0)
-    if light_age < 12:
+    if light_age < EDIT_FRAMES:
         # Halves what is left of the old light in every frame; a cap of 1 would show the bare noise.
         limit = wp.min(limit, 2.0)
     return limit

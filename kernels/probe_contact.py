@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .gbuffer import GBuffer, Surface, has_surface, load_surface
+from .gbuffer import SURFACE_EMITS, GBuffer, Surface, has_surface, load_surface
 from .geometry_math import TWO_PI, is_finite3
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_of, to_local
@@ -114,7 +114,9 @@ def side_difference(
             if (has_surface(other) and sine > 0.0 and covered > horizon and distance < reach
                     and wp.dot(other.geometric_normal, direction) < 0.0):
                 color = previous_radiance(previous_color, reprojection, grid.width, y * grid.width + x)
-                if color[3] > 0.0:
+                # What shines by itself is direct light: probes don't hold it, and it would count twice.
+                shines = (gbuffer.material[y * grid.width + x] & SURFACE_EMITS) != wp.uint32(0)
+                if color[3] > 0.0 and not shines:
                     fade = 1.0 - (distance / reach) * (distance / reach)
                     total = total + (rgb(color) - probe_radiance(pool, slot, direction)) * ((covered - horizon) * fade)
                 horizon = covered

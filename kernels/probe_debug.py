@@ -71,3 +71,17 @@ def show_exposed(
     if difference == 1:
         color = signed_color(mean_component(value))
     picture_out[pixel] = rgba(color, 1.0)
+
+
+@wp.kernel
+def show_ratio(
+    first: int,
+    # In:
+    ratio: wp.array[wp.float16],
+    # Out:
+    picture_out: wp.array[wp.vec4],
+):
+    """Show ratios 0..2 as black to white."""
+    pixel = first + wp.tid()
+    g = 0.5 * float(ratio[pixel])
+    picture_out[pixel] = wp.vec4(g, g, g, 1.0)

@@ -18,7 +18,7 @@ from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE
 from .probe_spawn import probe_cell, separated
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
-from .view import View, project
+from .view import View, project, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -33,6 +33,12 @@ KEPT_CELLS = wp.constant(4.0)
 
 # Frames after an edit of the light in which nothing known from before counts: bounces need that long to follow.
 LIGHT_FRAMES = wp.constant(12)
+
+# Frames after an edit of the light during which probes that still hold the light from before tell nothing.
+OUTDATED_FRAMES = wp.constant(32)
+
+# Of the frames since light began to spread, the share that a probe's mean may reach back: the first lack bounces.
+SETTLING_SHARE = wp.constant(0.5)
 
 UNKNOWN = wp.constant(-1.0)
 
@@ -126,8 +132,14 @@ def valid_count(view: View, pool: ProbePool, slot: int) -> float:
 
 
 @wp.func
+def outdated(view: View, pool: ProbePool, slot: int) -> bool:
+    """Return whether the light was edited a short while ago and a probe has not been updated since."""
+    return view.light_age < OUTDATED_FRAMES and pool.updated[slot] <= view.frame - view.light_age
+
+
+@wp.func
 def gather_around(
-    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3,
+    view: View, grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3,
     direction: wp.vec3, cell: float,
 ) -> wp.vec4:
     """Return the mean of what the probes of 3 x 3 tiles know, nearer ones weighing more; w < 0: nothing."""
@@ -139,7 +151,7 @@ def gather_around(
             grid, pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
         if slot >= 0:
             value = aimed_radiance(pool, slot, position, direction)
-            if value[3] > 0.0:
+            if value[3] > 0.0 and not outdated(view, pool, slot):
                 w = 1.0 / (1.0 + wp.length_sq(pool.position[slot] - position) / (cell * cell))
                 # Distances are averaged as their inverses: parallax is.
                 total = total + rgba(rgb(value), 1.0 / value[3]) * w
@@ -181,7 +193,7 @@ def gather_history(
             value = aimed_radiance(pool, slot, position, direction)
     if value[3] <= 0.0:
         value = gather_around(
-            grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
+            views[0], grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
     updates_out.previous[index] = to_half(value)
     updates_out.guide[index] = wp.where(
         value[3] > 0.0, luminance(rgb(value), grid.luminance) * cosines[cell], UNKNOWN)
@@ -227,12 +239,15 @@ def count_history(
             tile = neighbour_tile(grid, updates_out.tile[update], i % 3 - 1, i // 3 - 1)
             other = related_probe(grid, pool, tiles, tile, position, normal, width)
             if other >= 0:
-                count = count + valid_count(view, pool, other)
-                found = found + 1.0
+                if not outdated(view, pool, other):
+                    count = count + valid_count(view, pool, other)
+                    found = found + 1.0
             i = i + 1
         count = count / wp.max(found, 1.0)
     # Longer at rest, by the updates since.
     turns = float(grid.side * grid.side)
     limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)
+    limit = wp.min(limit, SETTLING_SHARE * settling_frames(view) / turns)
+    # With less, cells that get a ray in every other update would have to step by more than all.
     updates_out.count[update] = wp.min(count, wp.max(limit, 1.0))
     updates_out.covered[update] = covered

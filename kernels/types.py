@@ -53,6 +53,14 @@ LIGHT_HITTABLE = wp.constant(8)
 MATERIAL_TRANSPARENCY = wp.constant(1)
 MATERIAL_EMISSION = wp.constant(2)
 MATERIAL_CONSTANT_EMISSION = wp.constant(4)
+MATERIAL_LEAN = wp.constant(8)
+"""The lean machine (node_lean.py) runs its surface program"""
+MATERIAL_LEAN_TRANSPARENCY = wp.constant(16)
+"""The same of its transparency program"""
+MATERIAL_LEAN_FLAT = wp.constant(32)
+"""The same of its flat program: the surface program without normal maps and bump"""
+MATERIAL_FLAT_SHIFT = wp.constant(16)
+"""The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 
 
 @wp.struct

@@ -76,7 +76,7 @@ class CompositePass:
 
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer, reprojection: Any,
-        direct: Any, irradiance: wp.array,
+        direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -89,18 +89,22 @@ class CompositePass:
             reprojection: Has `position` (vec2) and `taps` (uint8), see kernels/reprojection.py.
             direct: Has `diffuse` and `specular` (vec4h): exposed, without the surfaces' colours.
             irradiance: vec4h, diffuse indirect light: irradiance / pi, exposed.
+            specular_ratio: float16, what a reflection gets of that light; None: 1 everywhere.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
         """
         count = self.width * self.height
         color = self.color.current(parity)
-        lights = [gbuffer, direct.diffuse, direct.specular, irradiance]
+        if specular_ratio is None:
+            specular_ratio = wp.full(count, 1.0, dtype=wp.float16, device=self.device)
+        lights = [gbuffer, direct.diffuse, direct.specular, irradiance, specular_ratio]
         self._inputs[parity] = tuple(lights)
         graph.launch(composite.compose, count, [views, *lights], [color])
         if self.light_passes:
             graph.launch(
-                composite.accumulate_light_passes, count, [views, gbuffer, direct.diffuse, irradiance], [self._sums])
+                composite.accumulate_light_passes, count,
+                [views, gbuffer, direct.diffuse, irradiance, specular_ratio], [self._sums])
         accumulated = self.accumulated.current(parity)
         graph.launch(
             antialias.antialias, count,

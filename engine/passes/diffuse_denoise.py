@@ -42,11 +42,11 @@ class DiffuseDenoisePass:
         def history() -> DiffuseHistory:
             h = DiffuseHistory()
             h.irradiance = wp.zeros(count, dtype=wp.uint64, device=device)
-            h.state = wp.zeros(count, dtype=wp.vec4h, device=device)
+            h.state = wp.zeros(count, dtype=wp.uint64, device=device)
             return h
 
         self.history: History[DiffuseHistory] = History("diffuse denoise", history)
-        self._rows = wp.zeros(count, dtype=wp.vec4h, device=device)
+        self._rows = wp.zeros(count, dtype=wp.uint64, device=device)
         self._irradiance = wp.zeros(count, dtype=wp.vec4h, device=device)
 
     def reset(self) -> None:
@@ -75,14 +75,14 @@ class DiffuseDenoisePass:
         history, radius = self.history.current(parity), self.settings.diffuse_radius
         graph.launch(
             diffuse_temporal.accumulate_diffuse, count,
-            [views, gbuffer, previous_gbuffer, reprojection, *size, irradiance, self.history.previous(parity),
-             float(self.settings.diffuse_history)],
+            [views, gbuffer, previous_gbuffer, reprojection, *size, irradiance.view(wp.uint64),
+             self.history.previous(parity), float(self.settings.diffuse_history)],
             [history])
         graph.launch(
             diffuse_blur.blur_diffuse_x, count, [views, gbuffer, *size, radius, history], [self._rows])
         graph.launch(
             diffuse_blur.blur_diffuse_y, count, [views, gbuffer, *size, radius, self._rows],
-            [history, self._irradiance])
+            [history, self._irradiance.view(wp.uint64)])
         return self._irradiance
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:

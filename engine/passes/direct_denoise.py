@@ -44,7 +44,7 @@ class DirectDenoisePass:
             h = DirectHistory()
             h.diffuse = wp.zeros(count, dtype=wp.uint64, device=device)
             h.specular = wp.zeros(count, dtype=wp.uint64, device=device)
-            h.moments = wp.zeros(count, dtype=wp.vec4h, device=device)
+            h.moments = wp.zeros(count, dtype=wp.uint64, device=device)
             h.length = wp.zeros(count, dtype=wp.float16, device=device)
             return h
 
@@ -84,21 +84,22 @@ class DirectDenoisePass:
         history = self.history.current(parity)
         graph.launch(
             direct_temporal.accumulate_direct, count,
-            [views, gbuffer, previous_gbuffer, reprojection, *size, direct.diffuse, direct.specular,
-             self.history.previous(parity), float(self.settings.direct_history)],
-            [history, source.diffuse, source.specular])
+            [views, gbuffer, previous_gbuffer, reprojection, *size, *_words(direct), self.history.previous(parity),
+             float(self.settings.direct_history)],
+            [history, *_words(source)])
         passes = self.settings.direct_iterations
         # Runs even where nothing is to be blurred: it also finds changes of the light.
         graph.launch(
             direct_atrous.filter_direct_first, count,
-            [views, gbuffer, *size, int(passes > 0), int(passes <= 1), source.diffuse, source.specular],
-            [target.diffuse, target.specular, history])
+            [views, gbuffer, *size, int(passes > 0), int(passes <= 1), *_words(source)], [*_words(target), history])
         for index in range(1, passes):
             source, target = target, source
+            stride = 1 << index
+            # Mirrored in every other pass: their grids then share few points.
+            turn = stride // 2 if index % 2 else -stride // 2
             graph.launch(
                 direct_atrous.filter_direct, count,
-                [views, gbuffer, *size, 1 << index, int(index == passes - 1), source.diffuse, source.specular],
-                [target.diffuse, target.specular])
+                [views, gbuffer, *size, stride, turn, int(index == passes - 1), *_words(source)], _words(target))
         return target
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
@@ -108,3 +109,8 @@ class DirectDenoisePass:
             "direct.variance": denoise_debug.show_direct_variance,
         }[name]
         graph.launch(kernel, self.width * self.height, [self.history.current(parity)], [picture])
+
+
+def _words(light: DirectLight) -> list[wp.array]:
+    """Return both images as the kernels take them: one word of 64 bits a pixel."""
+    return [light.diffuse.view(wp.uint64), light.specular.view(wp.uint64)]

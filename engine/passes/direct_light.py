@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import warp as wp
 
 from ...kernels import (
@@ -117,7 +119,10 @@ class DirectLightPass:
         with graph.section("Direct light"):
             if not has_lights(scene, split):
                 graph.skip("Direct light", "the scene has no lamps, emitters or sun")
-                graph.clear(self.light.diffuse, self.light.specular, self.rays.shadow_distance)
+                graph.clear(self.rays.shadow_distance)
+                for image in (self.light.diffuse, self.light.specular):
+                    # Black samples, not none: a mean without new samples would keep the light of before.
+                    graph.call(partial(image.fill_, wp.vec4h(0.0, 0.0, 0.0, 1.0)), "clear")
                 for array in arrays_of(self.reservoirs.current(parity)):
                     graph.clear(array)
                 return self.light

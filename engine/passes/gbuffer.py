@@ -5,7 +5,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...kernels import gbuffer_debug, gbuffer_layers, gbuffer_materials, gbuffer_rays, reproject
+from ...kernels import (
+    gbuffer_debug,
+    gbuffer_layers,
+    gbuffer_layers_lean,
+    gbuffer_lean,
+    gbuffer_materials,
+    gbuffer_rays,
+    reproject,
+)
 from ...kernels.gbuffer import GBuffer
 from ...kernels.gbuffer_rays import PrimaryHits
 from ...kernels.motion import Motion
@@ -79,6 +87,7 @@ class GBufferPass:
 
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, motion: Motion, *, filtered: bool = True,
+        all_lean: bool = False, lean_layers: bool = False,
     ) -> GBuffer:
         """Record the G-buffer of a frame and its reprojection.
 
@@ -89,6 +98,8 @@ class GBufferPass:
             views: One element.
             motion: As from MotionTracker.
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
+            all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
+            lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
         """
         count, width, gbuffer, hits = self.width * self.height, self.width, self.current(parity), self.hits
         if filtered and len(hits.weight) != count:
@@ -97,10 +108,13 @@ class GBufferPass:
             graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
             if filtered:
                 graph.launch(gbuffer_rays.trace_primary_layers, count, [views, scene, width], [hits])
-                graph.launch(gbuffer_layers.filter_primary, count, [views, scene, width], [hits])
+                walk = gbuffer_layers_lean.filter_primary_lean if lean_layers else gbuffer_layers.filter_primary
+                graph.launch(walk, count, [views, scene, width], [hits])
         with graph.section("Materials"):
-            graph.launch(
-                gbuffer_materials.shade_primary, count, [views, scene, width, int(filtered), hits], [gbuffer])
+            graph.launch(gbuffer_lean.shade_lean, count, [views, scene, width, int(filtered), hits], [gbuffer])
+            if not all_lean or scene.environment.constant == 0:
+                graph.launch(
+                    gbuffer_materials.shade_primary, count, [views, scene, width, int(filtered), 1, hits], [gbuffer])
             if scene.lights.lamp_count > 0:
                 graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, int(filtered), hits], [gbuffer])
         with graph.section("Reprojection"):

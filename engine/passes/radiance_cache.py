@@ -15,6 +15,7 @@ import warp as wp
 from ...kernels import (
     cache_cells,
     cache_debug,
+    cache_lean,
     cache_lights,
     cache_materials,
     cache_programs,
@@ -168,7 +169,7 @@ class RadianceCachePass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
-        gbuffer: GBuffer | None = None,
+        gbuffer: GBuffer | None = None, all_lean: bool = False,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -184,7 +185,9 @@ class RadianceCachePass:
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             programs: Whether lights may be programs (DeviceScene.has_light_programs).
             gbuffer: For debug views alone.
+            all_lean: Whether the lean node machine runs all flat programs (MaterialTable.lean).
         """
+        self._all_lean = all_lean
         self._fit(count, filtered)
         self.grid.minimum = minimum_cell
         self._views, self._gbuffer[parity] = views, gbuffer
@@ -223,10 +226,11 @@ class RadianceCachePass:
     ) -> None:
         """Record what the hits of `count` rays from slot `offset` on are made of, and their cells."""
         with graph.section("Cache materials"):
-            graph.launch(
-                cache_materials.evaluate_cache_materials, count,
-                [views, scene, offset, int(offset > 0), self._weighed, threshold, int(self._layers), self.paths],
-                [self.vertices])
+            what = [views, scene, offset, int(offset > 0), self._weighed, threshold, int(self._layers)]
+            graph.launch(cache_lean.evaluate_cache_lean, count, [*what, self.paths], [self.vertices])
+            if not self._all_lean or scene.environment.constant == 0:
+                graph.launch(
+                    cache_materials.evaluate_cache_materials, count, [*what, 1, self.paths], [self.vertices])
         with graph.section("Cache cells"):
             graph.launch(
                 cache_cells.insert_vertices, count, [views, self.paths, offset],

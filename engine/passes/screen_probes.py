@@ -16,9 +16,11 @@ from ...kernels import (
     probe_contact,
     probe_debug,
     probe_gather,
+    probe_interpolate,
     probe_light,
     probe_map,
     probe_place,
+    probe_records,
     probe_sample,
 )
 from ...kernels import probe_spawn as spawn
@@ -30,6 +32,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..device import launch
 from ..frame_graph import FrameGraph
+from ..lobe_moments import lobe_moments
 from ..settings import ProbeSettings
 
 __all__ = ["ScreenProbePass"]
@@ -98,6 +101,10 @@ class ScreenProbePass:
         self.updates = self._allocate(ProbeUpdates, UPDATES, self.update_count)
         self.rays = self._allocate(ProbeRays, RAYS, self.update_count)
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
+        self.specular_ratio = wp.zeros(width * height, dtype=wp.float16, device=self.device)
+        """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w])"""
+        self.records = wp.zeros(2 * self.tile_count * int(probe_records.RECORD), dtype=wp.uint64, device=self.device)
+        self.moments = lobe_moments(self.device)
         self.contact = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
         self.weights = wp.zeros(CELLS * BANDS, dtype=float, device=self.device)
         self.cosines = wp.zeros(CELLS, dtype=float, device=self.device)
@@ -151,7 +158,8 @@ class ScreenProbePass:
     ) -> wp.array:
         """Record putting the rays' answers into the probes; returns the diffuse light of each pixel.
 
-        vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 (probe_light.py).
+        vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 (probe_interpolate.py);
+        `specular_ratio` is what reflections get of it.
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         with graph.section("probe blend"):
@@ -162,8 +170,12 @@ class ScreenProbePass:
             graph.launch(probe_light.project_bands, self.update_count * BANDS,
                          [grid, updates, self.rays, self.weights], [pool])
         with graph.section("probe interpolation"):
-            graph.launch(probe_light.interpolate_probes, self.width * self.height,
-                         [grid, views, gbuffer, tiles, pool], [self.irradiance])
+            images = [self.irradiance, self.specular_ratio]
+            graph.launch(probe_records.record_probes, 2 * self.tile_count, [grid, views, tiles, pool], [self.records])
+            graph.launch(probe_interpolate.interpolate_probes, self.tile_count * TILE * TILE,
+                         [grid, views, gbuffer, self.records, pool, self.moments], images)
+            graph.launch(probe_interpolate.fill_gaps, self.width * self.height,
+                         [grid, views, gbuffer, self.records, tiles, pool, self.moments], images)
         if self.settings.contact_detail:
             with graph.section("contact detail"):
                 graph.launch(probe_contact.add_contact, self.width * self.height,
@@ -182,6 +194,8 @@ class ScreenProbePass:
             if name in maps:
                 graph.launch(probe_debug.show_probes, count, [int(maps[name]), self.grid, views, self.tiles, self.pool],
                              [picture])
+            elif name == "probes.specular":
+                graph.launch(probe_debug.show_ratio, count, [self.specular_ratio], [picture])
             else:
                 signed = int(name == "probes.contact")
                 values = self.contact if signed else self.irradiance

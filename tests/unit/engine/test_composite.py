@@ -45,6 +45,7 @@ class Setup:
         self.diffuse, self.specular, self.translucent = (pack(rng.random((COUNT, 3)) * 0.5) for _ in range(3))
         self.emission = np.concatenate([rng.random((COUNT, 3)), np.ones((COUNT, 1))], 1).astype(np.float16)
         self.lights = [rng.random((COUNT, 4)).astype(np.float16) for _ in range(3)]
+        self.ratio = (3.0 * rng.random(COUNT)).astype(np.float16)
         self.depth = np.full(COUNT, 3.0, np.float32)
         self.depth[SKY] = SKY_DEPTH
         self.half = np.arange(COUNT) % 2 == 0
@@ -66,8 +67,10 @@ class Setup:
         self.composite.resize(W, H)
         self.graphs = [FrameGraph(device), FrameGraph(device)]
         direct = SimpleNamespace(diffuse=self.arrays[0], specular=self.arrays[1])
+        ratio = wp.array(self.ratio, dtype=wp.float16, device=device)
         self.pictures = [
-            self.composite.record(graph, parity, Scene(), self.views, gbuffer, reprojection, direct, self.arrays[2])
+            self.composite.record(
+                graph, parity, Scene(), self.views, gbuffer, reprojection, direct, self.arrays[2], ratio)
             for parity, graph in enumerate(self.graphs)]
         self.frame = -1
 
@@ -76,6 +79,7 @@ class Setup:
         self.frame += 1
         row = np.zeros(1, View.numpy_dtype())
         row["rest"], row["transparent"], row["restart"], row["light_age"] = rest, transparent, restart, 1 << 20
+        row["frame"] = 1 << 20
         self.views.assign(row)
         self.graphs[self.frame % 2].replay()
         return self.pictures[self.frame % 2].numpy().copy()
@@ -93,7 +97,8 @@ class Setup:
         diffuse, specular, irradiance = (light[:, :3].astype(float) for light in self.lights)
         mirrored = unpack(self.specular)
         mirrored[SKY] = 0.0
-        return self.emission[:, :3] + self.albedo * (diffuse + irradiance) + mirrored * (specular + irradiance)
+        reflected = irradiance * self.ratio[:, None].astype(float)
+        return self.emission[:, :3] + self.albedo * (diffuse + irradiance) + mirrored * (specular + reflected)
 
 
 def test_light_times_colour_adds_up(device):

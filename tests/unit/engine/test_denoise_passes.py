@@ -18,7 +18,7 @@ from burnish.kernels.view import View
 SIZE = 32
 DEVICE = os.environ.get("BURNISH_TEST_DEVICE", "cpu")
 UP, SIDE = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
-LONG_AGO = 1000
+LONG_AGO = 5000
 
 
 def packed_normal(n):
@@ -91,7 +91,7 @@ class Frames:
             image[..., :3] = np.broadcast_to(np.asarray(values, np.float32), (self.size, self.size))[..., None]
             image[..., 3] = weight
             array.assign(image.reshape(-1, 4))
-        self.row["rest"], self.row["light_age"], self.row["frame"] = rest, light_age, self.frame
+        self.row["rest"], self.row["light_age"], self.row["frame"] = rest, light_age, LONG_AGO + self.frame
         self.views.assign(self.row)
         self.graphs[self.frame & 1].replay()
         self.frame += 1
@@ -105,7 +105,10 @@ class Frames:
 
     def lengths(self):
         history = self.denoiser.history.current((self.frame - 1) & 1)
-        values = np.abs(history.length.numpy()) if self.direct else history.state.numpy()[:, 0]
+        if self.direct:
+            values = np.abs(history.length.numpy())
+        else:
+            values = history.state.numpy().view(np.float16).reshape(-1, 4)[:, 0]
         return values.astype(np.float32).reshape(self.size, self.size)
 
 
@@ -225,15 +228,39 @@ def test_moving_shadow_leaves_no_trail():
 @BOTH
 @pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("deviation", [0.0, 0.5])
-def test_light_goes_off(make, told, deviation):
-    """Forget light that went off: 1 % left after 12 frames when told of the edit, 5 % after 16 when not."""
+@pytest.mark.parametrize("dim", [0.0, 0.05])
+def test_light_goes_off(make, told, deviation, dim):
+    """Forget light that went off, all or but a dim rest: 1 % left after 12 frames when told, 5 % after 16 when not."""
     rng = np.random.default_rng(9)
     frames = Frames(make)
     for _ in range(64):
         frames.show(rng.lognormal(-0.5 * deviation**2, deviation, (SIZE, SIZE)))
     for frame in range(12 if told else 16):
-        result = frames.show(0.0, light_age=frame if told else LONG_AGO)
-    assert result.mean() <= (0.01 if told else 0.05)
+        sample = dim * rng.lognormal(-0.5 * deviation**2, deviation, (SIZE, SIZE))
+        result = frames.show(sample, light_age=frame if told else LONG_AGO)
+    assert result.mean() == pytest.approx(dim, abs=0.01 if told else 0.05)
+
+
+@BOTH
+def test_light_goes_off_with_few_samples(make):
+    """Forget light that went off where only every other frame has a sample, or where new light is not sure."""
+    frames = Frames(make)
+    checker = np.indices((SIZE, SIZE)).sum(0) % 2
+    for _ in range(64):
+        frames.show(1.0)
+    for frame in range(12):
+        weight = (checker + frame) % 2 if make is DirectDenoisePass else 0.3
+        result = frames.show(0.0, weight=weight, light_age=frame)
+    assert result.max() <= 0.01
+
+
+def test_light_that_spreads_is_not_kept_long():
+    """Average indirect light over half of the frames since an edit at most: the first lack most of its bounces."""
+    frames = Frames(DiffuseDenoisePass, diffuse_radius=0)
+    for frame in range(60):
+        result = frames.show(1.0 - 0.9**frame, rest=frame, light_age=frame)
+    assert frames.lengths() == pytest.approx(1.0 + 0.5 * 59)
+    assert result.min() > 1.0 - 0.9**24
 
 
 @BOTH
@@ -273,12 +300,9 @@ def test_bad_numbers_stay_out(make, bad):
             light[5:9, 5:9] = bad
         result = frames.show(light)
     assert (result == 0.25).all()
-    for array in vars_of(frames.denoiser.history.current(1)):
-        assert np.isfinite(array.numpy().astype(np.float64)).all()
-
-
-def vars_of(struct):
-    return [getattr(struct, name) for name in struct._cls.vars]
+    history = frames.denoiser.history.current(1)
+    assert np.isfinite(frames.lengths()).all()
+    assert np.isfinite((history.moments if frames.direct else history.state).numpy().view(np.float16)).all()
 
 
 @BOTH
@@ -350,6 +374,19 @@ def test_same_every_time(make):
             result = frames.show(noise(rng))
         pictures.append(result)
     assert (pictures[0] == pictures[1]).all()
+
+
+@BOTH
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (1.0, -2.0)])
+def test_whole_pixels_keep_every_bit(make, shift):
+    """Find the same light a pixel on where the camera moves by whole pixels: nothing is interpolated."""
+    rng = np.random.default_rng(16)
+    frames = Frames(make, direct_iterations=0, diffuse_radius=0)
+    before = frames.show(noise(rng))
+    frames.move(shift)
+    after = frames.show(0.0, weight=0.0)
+    x, y = int(shift[0]), int(-shift[1])
+    assert (after[: SIZE - y, x:] == before[y:, : SIZE - x]).all() and before.std() > 0.5
 
 
 @BOTH

@@ -285,6 +285,30 @@ def test_light_switched_off():
     np.testing.assert_allclose(b.irradiance()[0], 0.3, rtol=0.05)
 
 
+def test_outdated_probes_step_back():
+    """Show next to nothing of the old light two frames after its end, when half of the probes still hold it."""
+    b = bench(1.0)
+    for _ in range(40):
+        b.frame()
+    b.lighting.sky = 0.0
+    b.record()
+    for i in range(2):
+        b.frame(lit=i == 0)
+    assert b.irradiance()[0].mean() < 0.05
+
+
+def test_first_frames_are_forgotten():
+    """Reach back over half of the frames since the start, so that light that took frames to spread is not held down."""
+    b = bench(0.0)
+    for i in range(64):
+        b.lighting.sky = 1.0 - 0.8 ** (i + 1)
+        b.record()
+        b.frame()
+    # A plain mean over the 16 updates would give 0.9.
+    assert b.irradiance()[0].mean() > 0.98
+    assert b.probes.pool.count.numpy().max() <= 1 + 64 / 8
+
+
 def test_long_means_stay_exact():
     """Drift nowhere in thousands of updates of half-floats."""
     b = bench(0.7003, size=(16, 16))

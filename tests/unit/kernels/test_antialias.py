@@ -32,10 +32,11 @@ def centers() -> tuple[np.ndarray, np.ndarray]:
 
 
 class Frames:
-    """Runs frames of W x H pixels through the kernel."""
+    """Runs frames of W x H pixels through the kernel, `settled` frames after the integrator's start."""
 
-    def __init__(self, device: str):
+    def __init__(self, device: str, settled: int = 1 << 20):
         self.device = device
+        self.settled = settled
         self.frame = -1
         self.buffers = [self._make(), self._make()]
 
@@ -52,7 +53,7 @@ class Frames:
         self.frame += 1
         row = np.zeros(1, View.numpy_dtype())
         row["rest"], row["light_age"], row["restart"], row["jitter"] = rest, light_age, restart, jitter
-        row["frame"] = self.frame
+        row["frame"] = self.frame + self.settled
         x, y = centers()
         position = (np.stack([x, y], -1) - np.broadcast_to(np.asarray(motion), (H, W, 2))).astype(np.float32)
         old, new = self.buffers[1 - self.frame % 2], self.buffers[self.frame % 2]
@@ -149,6 +150,20 @@ def test_light_edit_is_seen_at_once(device):
     for age in range(8):
         picture = frames.add(opaque(np.zeros((H, W))), rest=age, light_age=age)
     assert picture[..., :3].max() < 0.02 * 0.8
+
+
+def test_first_frames_are_forgotten(device):
+    """Leave behind the dark first frames of light that spreads, and count every frame once light has settled."""
+    frames = Frames(device, settled=0)
+    for k in range(64):
+        picture = frames.add(opaque(np.full((H, W), 1.0 - 0.8 ** (k + 1))), rest=k, restart=int(k == 0))
+        if k == 31:
+            assert picture[..., 0].min() > 0.97
+    assert picture[..., 0].min() > 0.995
+    counted = frames.samples.max()
+    for k in range(64, 128):
+        frames.add(opaque(np.ones((H, W))), rest=k)
+    assert (frames.samples == counted + 64).all()
 
 
 def test_nothing_trails_behind_a_mover(device):

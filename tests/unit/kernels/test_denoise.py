@@ -6,7 +6,8 @@ import pytest
 import warp as wp
 from burnish.kernels import direct_atrous, filter_weights, long_mean
 from burnish.kernels.gbuffer import GBuffer, load_surface, plane_distance
-from burnish.kernels.packing import pack_normal
+from burnish.kernels.packed_halves import pack_halves, unpack_first, unpack_halves
+from burnish.kernels.packing import pack_normal, rgb, unpack_normal
 from burnish.kernels.view import View, pixel_footprint
 
 wp.set_module_options({"enable_backward": False})
@@ -53,16 +54,46 @@ def compare_offsets(views: wp.array[View], gbuffer: GBuffer, width: int, centre:
     out[pixel] = wp.vec2(offset, plane_distance(p, q.position) / pixel_footprint(view.camera, p.depth))
 
 
+@wp.func
+def one_way(p: wp.vec4, q: wp.vec4) -> float:
+    return direct_atrous.noise_weight(
+        filter_weights.brightness(rgb(p)), direct_atrous.own_variance(p), filter_weights.brightness(rgb(q)), q[3])
+
+
 @wp.kernel
 def weigh_noise(p: wp.array[wp.vec4], q: wp.array[wp.vec4], out: wp.array[wp.vec2]):
     i = wp.tid()
-    out[i] = wp.vec2(direct_atrous.noise_weight(p[i], q[i]), direct_atrous.noise_weight(q[i], p[i]))
+    out[i] = wp.vec2(one_way(p[i], q[i]), one_way(q[i], p[i]))
 
 
 @wp.kernel
-def weigh_normals(cosines: wp.array[float], out: wp.array[wp.vec2]):
+def weigh_normals(normals: wp.array[wp.uint32], out: wp.array[wp.vec2]):
     i = wp.tid()
-    out[i] = wp.vec2(filter_weights.smooth_normal_weight(cosines[i]), filter_weights.power_32(cosines[i]))
+    square = filter_weights.squared_cosine(wp.vec3(0.0, 0.0, 1.0), normals[i])
+    out[i] = wp.vec2(filter_weights.smooth_normal_weight(square), filter_weights.sharp_normal_weight(square))
+
+
+@wp.kernel
+def decode_normals(packed: wp.array[wp.uint32], centre: wp.vec3, out: wp.array[wp.vec2]):
+    i = wp.tid()
+    n = unpack_normal(packed[i])
+    cosine = wp.max(wp.dot(n, centre), 0.0)
+    out[i] = wp.vec2(
+        wp.length(filter_weights.unit_normal(packed[i]) - n),
+        wp.abs(filter_weights.squared_cosine(centre, packed[i]) - cosine * cosine))
+
+
+@wp.kernel
+def pack_four(values: wp.array[wp.vec4], out: wp.array[wp.uint64]):
+    i = wp.tid()
+    out[i] = pack_halves(values[i])
+
+
+@wp.kernel
+def unpack_four(words: wp.array[wp.uint64], out: wp.array[wp.vec4]):
+    i = wp.tid()
+    v = unpack_halves(words[i])
+    out[i] = wp.vec4(unpack_first(words[i]), v[1], v[2], v[3])
 
 
 @wp.kernel
@@ -159,9 +190,32 @@ def test_noise_weight_is_mutual():
 
 def test_normals_apart_have_no_weight():
     """Give the same normal weight 1, and one 60 degrees off exactly none in smooth light, 1e-9 in direct light."""
-    found = run(weigh_normals, [vectors([1.0, 0.5, 0.0, -1.0], float)], wp.vec2, 4)
+    normals = [[0.0, 0.0, 1.0], [0.0, 0.75**0.5, 0.5], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 4), dtype=wp.uint32, device="cpu")
+    found = run(weigh_normals, [packed], wp.vec2, 4)
     assert found[0].tolist() == [1.0, 1.0]
-    assert (found[1:, 0] == 0.0).all() and found[1:, 1].max() < 1e-9
+    assert found[1:].max() < 1e-9 and (found[2:, 0] == 0.0).all()
+
+
+def test_normals_are_decoded_the_short_way():
+    """Find the normal and the squared cosine that unpack_normal gives, for normals of all directions."""
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 2000), dtype=wp.uint32, device="cpu")
+    assert run(decode_normals, [packed, wp.vec3(0.48, -0.6, 0.64)], wp.vec2, 2000).max() < 1e-6
+
+
+def test_words_hold_half_floats():
+    """Pack four numbers to the bits of a vec4h and back, too large ones clamped."""
+    rng = np.random.default_rng(6)
+    values = rng.normal(size=(500, 4)).astype(np.float16).astype(np.float32)
+    values[0] = (0.0, -1.0, 1e9, -1e9)
+    words = run(pack_four, [vectors(values, wp.vec4)], wp.uint64, 500)
+    expected = np.clip(values, -65000.0, 65000.0).astype(np.float16)
+    assert (words.view(np.uint16).reshape(-1, 4) == expected.view(np.uint16)).all()
+    found = run(unpack_four, [wp.array(words, dtype=wp.uint64, device="cpu")], wp.vec4, 500)
+    assert (found == expected.astype(np.float32)).all()
 
 
 def test_history_grows_at_rest_only():

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which programs the lean node machine (kernels/node_lean.py) can run: common instructions, one plain closure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ..kernels import node_codes as codes
+from ..kernels.node_lean import LEAN_REGISTERS
+from ..kernels.types import CLOSURE_DIFFUSE, CLOSURE_PRINCIPLED
+from .program import Program
+from .program_layout import OPERANDS, Instruction
+
+__all__ = ["LeanPrograms", "is_lean", "is_lean_transparency"]
+
+LEAN_MATH = {
+    codes.MATH_ADD, codes.MATH_SUBTRACT, codes.MATH_MULTIPLY, codes.MATH_DIVIDE, codes.MATH_MULTIPLY_ADD,
+    codes.MATH_MINIMUM, codes.MATH_MAXIMUM, codes.MATH_LESS_THAN, codes.MATH_GREATER_THAN, codes.MATH_CLAMP,
+}
+LEAN_VECTOR = {
+    codes.VECTOR_COMBINE, codes.VECTOR_X, codes.VECTOR_Y, codes.VECTOR_Z, codes.VECTOR_W, codes.VECTOR_XYZ,
+    codes.VECTOR_ADD, codes.VECTOR_SUBTRACT, codes.VECTOR_MULTIPLY, codes.VECTOR_SCALE,
+}
+LEAN_MIX = {codes.MIX_MIX, codes.MIX_MULTIPLY, codes.MIX_ADD, codes.MIX_SUBTRACT}
+LEAN_INPUT = {codes.INPUT_UV, codes.INPUT_ATTRIBUTE}
+
+LEAN_OPERATIONS: dict[int, Callable[[int], bool]] = {
+    codes.OP_MATH: LEAN_MATH.__contains__,
+    codes.OP_VECTOR: LEAN_VECTOR.__contains__,
+    codes.OP_MIX: LEAN_MIX.__contains__,
+    codes.OP_INPUT: LEAN_INPUT.__contains__,
+    codes.OP_IMAGE: lambda sub: sub & 15 == codes.PROJECTION_FLAT,
+    codes.OP_TRANSFORM: lambda sub: True,
+    codes.OP_TRANSPARENT: lambda sub: True,
+}
+"""By opcode: whether a sub-operation is known"""
+
+SURFACE_OPERATIONS = LEAN_OPERATIONS | {
+    codes.OP_NORMAL_MAP: lambda sub: True,
+    codes.OP_EMIT: lambda sub: True,
+    codes.OP_CLOSURE: lambda sub: sub & 255 in (CLOSURE_PRINCIPLED, CLOSURE_DIFFUSE),
+}
+"""The same in surface programs"""
+
+ZERO_ARGUMENTS = (
+    codes.ARG_DIFFUSE_ROUGHNESS, codes.ARG_TRANSMISSION, codes.ARG_COAT, codes.ARG_SHEEN, codes.ARG_THIN_WALL,
+)
+"""Arguments of a Principled BSDF that add what the lean closure lacks"""
+
+
+@dataclass(frozen=True)
+class LeanPrograms:
+    """Which kinds of program the lean machine can run, of all materials of a scene."""
+
+    surface: bool = True
+    flat: bool = True
+    transparency: bool = True
+
+
+def is_lean(code: Sequence[Instruction], program: Program) -> bool:
+    """Return whether the lean machine can run a surface or flat program: one of `program`'s lists."""
+    closures = [at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE]
+    if not closures:
+        return _known(code, SURFACE_OPERATIONS)
+    # The machine stops at a closure, so nothing but its arguments may follow.
+    ends = closures[0] + code[closures[0]][2] + 1 == len(code)
+    return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0])
+
+
+def is_lean_transparency(program: Program) -> bool:
+    """Return whether the lean machine can run the transparency program."""
+    return _known(program.transparency, LEAN_OPERATIONS)
+
+
+def _known(code: Sequence[Instruction], known: dict[int, Callable[[int], bool]]) -> bool:
+    """Return whether all instructions are known and no register is beyond the lean machine's."""
+    for head, *words in code:
+        op = head & 255
+        if op != codes.OP_ARGS and not (op in known and known[op](head >> 16 & 65535)):
+            return False
+        if max([head >> 8 & 255, *words[:OPERANDS[op]]]) >= LEAN_REGISTERS:
+            return False
+    return True
+
+
+def _is_plain(code: Sequence[Instruction], program: Program, at: int) -> bool:
+    """Return whether a closure has no lobe besides metal, dielectric and Lambert's, whatever its arguments."""
+    def is_zero(slot: int) -> bool:
+        operand = code[at + 1 + slot // 3][1 + slot % 3]
+        return operand < 0 and program.constants[-1 - operand][:3] == (0.0, 0.0, 0.0)
+
+    if code[at][0] >> 16 & 255 == CLOSURE_DIFFUSE:
+        return is_zero(codes.ARG_ROUGHNESS)
+    isotropic = is_zero(codes.ARG_ANISOTROPIC) or is_zero(codes.ARG_TANGENT)
+    return isotropic and all(is_zero(slot) for slot in ZERO_ARGUMENTS)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cache's kernel for hits whose programs the lean node machine runs: most of them; see cache_materials.py."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_materials import LEFT, emission_weight, flat_start, hit_point, sane, store_surface
+from .cache_rays import IDLE, Vertices
+from .environment_split import NO_THRESHOLD, soft_radiance
+from .intersect import MISS
+from .node_lean import lean_surface, run_lean
+from .paths import ENDED, Paths
+from .probe_rays import MISS_DISTANCE
+from .types import MATERIAL_LEAN_FLAT, VISIBLE_DIFFUSE, Scene
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def store_miss(
+    scene: Scene, bounce: int, threshold: float, weight: wp.vec3, vertices: Vertices, slot: int,
+):
+    """Store what a ray brings that missed, as far as that takes no program."""
+    light = wp.vec3(0.0, 0.0, 0.0)
+    seen = (scene.environment.visibility & VISIBLE_DIFFUSE) != 0
+    if seen and not (bounce == 1 and scene.lights.environment_class >= 0):
+        if scene.environment.constant == 0:
+            vertices.emission[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)
+            return
+        limit = wp.where(bounce == 1, NO_THRESHOLD, threshold)
+        light = sane(wp.cw_mul(soft_radiance(sane(scene.environment.radiance), limit, scene.luminance), weight))
+    vertices.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
+
+
+@wp.kernel
+def evaluate_cache_lean(
+    first: int,
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    offset: int,
+    bounce: int,
+    weighed: int,
+    threshold: float,
+    filtered: int,
+    paths: Paths,
+    # Out:
+    vertices_out: Vertices,
+):
+    """Do what evaluate_cache_materials does wherever the full machine is not needed, and note where it is (LEFT)."""
+    slot = offset + first + wp.tid()
+    if paths.state[slot] == ENDED:
+        vertices_out.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, IDLE)
+        return
+    weight = wp.vec3(1.0, 1.0, 1.0)
+    if filtered == 1:
+        weight = paths.throughput[slot]
+    if paths.hit[slot][0] == MISS:
+        vertices_out.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        store_miss(scene, bounce, threshold, weight, vertices_out, slot)
+        return
+    view = views[0]
+    point = hit_point(view, scene, paths, slot, bounce)
+    if (scene.materials.materials[point.material].flags & MATERIAL_LEAN_FLAT) == 0:
+        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)
+        return
+    closure = run_lean(scene, point, flat_start(scene, point))
+    surface = lean_surface(scene.tables, closure, point)
+    share = float(1.0)
+    if wp.length_sq(closure.emission) > 0.0:
+        share = emission_weight(scene, point, paths, slot, bounce == 1 and weighed == 1)
+    store_surface(point, surface.albedo, surface.normal, closure.emission, weight, share, vertices_out, slot)

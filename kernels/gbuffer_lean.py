@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that fills the G-buffer where the lean node machine is enough: most surfaces, and a plain world."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .gbuffer import GBuffer
+from .gbuffer_rays import PrimaryHits, primary_ray
+from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
+from .intersect import MISS
+from .node_lean import lean_surface, run_lean
+from .types import MATERIAL_LEAN, Scene
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.kernel(cuda_max_registers=96)
+def shade_lean(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    filtered: int,
+    hits: PrimaryHits,
+    # Out:
+    gbuffer_out: GBuffer,
+):
+    """Fill the G-buffer but for its motion; where that takes the full machine only note that (LEFT)."""
+    pixel = first + wp.tid()
+    missed = hits.hit[pixel][0] == MISS
+    if missed and scene.environment.constant == 0:
+        gbuffer_out.hit[pixel] = wp.vec2i(LEFT, LEFT)
+        return
+    view = views[0]
+    ray = primary_ray(view, pixel % width, pixel // width)
+    weight = wp.vec3(1.0, 1.0, 1.0)
+    if filtered == 1:
+        weight = hits.weight[pixel]
+    if missed:
+        store_world(view, scene, scene.environment.radiance, weight, gbuffer_out, pixel)
+        return
+    point = pixel_point(view, scene, hits, pixel, ray)
+    if (scene.materials.materials[point.material].flags & MATERIAL_LEAN) == 0:
+        gbuffer_out.hit[pixel] = wp.vec2i(LEFT, LEFT)
+        return
+    closure = run_lean(scene, point, scene.materials.materials[point.material].surface_start)
+    surface = lean_surface(scene.tables, closure, point)
+    store_surface(
+        view, scene, point, surface.albedo, surface.normal, surface.cosine, closure.emission, weight, gbuffer_out,
+        pixel)

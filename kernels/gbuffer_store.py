@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a surface's albedos, or the world, are packed into the G-buffer; used by all kernels that fill it. Functions.
+
+The BSDF is reduced to one diffuse, one translucent and one GGX lobe of the same albedos.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .camera import CameraRay
+from .gbuffer import SURFACE_BACKFACING, SURFACE_EMITS, GBuffer, SurfaceMaterial, store_material
+from .gbuffer_rays import PrimaryHits
+from .geometry_math import (
+    is_finite3,
+    max_component,
+    mean_component,
+    safe_sqrt,
+    sqr,
+    transform_direction,
+    transform_normal,
+)
+from .intersect import MISS, surface_point
+from .nodes import world_point
+from .packing import pack_normal, pack_unorm16, rgba, to_half
+from .paths import make_hit
+from .reflectance import BsdfAlbedo, fit_lobe
+from .tracing import FOOTPRINT_SCALE
+from .types import HOLDOUT, VISIBLE_CAMERA, FrameData, Geometry, Scene, ShadingPoint
+from .view import SKY_DEPTH, View, pixel_footprint, project
+
+# GBuffer.hit[0] where the lean kernel has left a pixel to the full one.
+LEFT = wp.constant(-2)
+# Tokuyoshi and Kaplanyan 2021: variance of a pixel's filter [px^2] and the largest widening of alpha squared.
+FILTER_VARIANCE = wp.constant(0.15915494)
+WIDENING_MAX = wp.constant(0.18)
+# A footprint seen more aslant than this grows no further.
+COSINE_MIN = wp.constant(0.1)
+
+
+@wp.func
+def finite_or_zero(v: wp.vec3) -> wp.vec3:
+    """Return v without negative components, 0 where one is not finite."""
+    if is_finite3(v):
+        return wp.max(v, wp.vec3(0.0, 0.0, 0.0))
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> float:
+    """Return the squared change of the interpolated normal over a vector in the triangle's plane."""
+    to_world = geometry.instances[point.instance].to_world
+    to_object = geometry.instances[point.instance].to_object
+    v = geometry.triangles[point.triangle]
+    corner = 3 * point.triangle
+    n0 = wp.normalize(transform_normal(to_object, geometry.normals[corner]))
+    n1 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 1]))
+    n2 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 2]))
+    p0 = geometry.positions[v[0]]
+    e1 = geometry.positions[v[1]] - p0
+    e2 = geometry.positions[v[2]] - p0
+    # Barycentric coordinates of the offset by the edges' Gram matrix; lengths in units of the first edge.
+    world1 = transform_direction(to_world, e1)
+    world2 = transform_direction(to_world, e2)
+    scale = 1.0 / wp.max(wp.length(world1), 1.0e-20)
+    world1 = world1 * scale
+    world2 = world2 * scale
+    a = wp.dot(world1, world1)
+    b = wp.dot(world1, world2)
+    c = wp.dot(world2, world2)
+    x = wp.dot(world1, offset) * scale
+    y = wp.dot(world2, offset) * scale
+    determinant = wp.max(a * c - b * b, 1.0e-12)
+    du = (c * x - b * y) / determinant
+    dv = (a * y - b * x) / determinant
+    return wp.length_sq((n1 - n0) * du + (n2 - n0) * dv)
+
+
+@wp.func
+def widened_roughness(
+    frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: float, roughness: float,
+) -> float:
+    """Return the roughness with the variance of the normal inside the pixel (Tokuyoshi and Kaplanyan 2021)."""
+    width = pixel_footprint(frame, depth)
+    m = frame.camera_to_world
+    right = wp.normalize(wp.vec3(m[0, 0], m[1, 0], m[2, 0])) * width
+    up = wp.normalize(wp.vec3(m[0, 1], m[1, 1], m[2, 1])) * width
+    n = point.geometric_normal
+    cosine = wp.max(wp.dot(point.wo, n), COSINE_MIN)
+    right = right - point.wo * (wp.dot(right, n) / cosine)
+    up = up - point.wo * (wp.dot(up, n) / cosine)
+    change = normal_change(geometry, point, right) + normal_change(geometry, point, up)
+    if not wp.isfinite(change):
+        return roughness
+    widening = wp.min(2.0 * FILTER_VARIANCE * change, WIDENING_MAX)
+    return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + widening)), 1.0)
+
+
+@wp.func
+def store_surface(
+    view: View, scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, shading_normal: wp.vec3, cosine: float,
+    emitted: wp.vec3, weight: wp.vec3, gbuffer: GBuffer, pixel: int,
+):
+    """Pack a surface.
+
+    Args:
+        view: The frame's view.
+        scene: The scene.
+        point: Where the surface lies.
+        albedo: Of its BSDF for this view.
+        shading_normal: Normal map and bump included.
+        cosine: Of the view with the normal that reflects it.
+        emitted: Radiance.
+        weight: What transparent layers in front let through.
+        gbuffer: What to fill.
+        pixel: Which entry.
+    """
+    depth = project(view.camera, point.position)[2]
+    normal = shading_normal
+    if not is_finite3(normal):
+        normal = point.geometric_normal
+    material = SurfaceMaterial()
+    material.roughness = 1.0
+    if wp.isfinite(albedo.roughness):
+        material.roughness = widened_roughness(view.camera, scene.geometry, point, depth, albedo.roughness)
+    material = fit_lobe(scene.tables, albedo, cosine, material)
+    material.f90 = material.f90 * mean_component(weight)
+    if not wp.isfinite(material.f90):
+        material.f90 = 0.0
+    material.f0 = finite_or_zero(wp.cw_mul(material.f0, weight))
+    material.diffuse = finite_or_zero(wp.cw_mul(albedo.diffuse, weight))
+    material.translucent = finite_or_zero(wp.cw_mul(albedo.translucent, weight))
+    material.specular = finite_or_zero(wp.cw_mul(albedo.specular, weight))
+    emission = finite_or_zero(wp.cw_mul(emitted, weight)) * view.exposure
+    alpha = float(1.0)
+    if (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
+        # It keeps its geometry for the passes that look at neighbours, and gives no light at all.
+        material = SurfaceMaterial()
+        emission = wp.vec3(0.0, 0.0, 0.0)
+        alpha = 0.0
+    material.flags = wp.where(max_component(emission) > 0.0, SURFACE_EMITS, wp.uint32(0))
+    if point.backfacing == 1:
+        material.flags = material.flags | SURFACE_BACKFACING
+    # Stores come last: loads after them could not be moved before them.
+    store_material(gbuffer, pixel, material)
+    gbuffer.emission[pixel] = to_half(rgba(emission, alpha))
+    gbuffer.depth[pixel] = depth
+    gbuffer.hit[pixel] = wp.vec2i(point.instance, point.triangle)
+    gbuffer.barycentrics[pixel] = pack_unorm16(point.u, point.v)
+    gbuffer.geometric_normal[pixel] = pack_normal(point.geometric_normal)
+    gbuffer.normal[pixel] = pack_normal(normal)
+
+
+@wp.func
+def store_world(view: View, scene: Scene, radiance: wp.vec3, weight: wp.vec3, gbuffer: GBuffer, pixel: int):
+    """Pack a pixel that shows the world."""
+    gbuffer.depth[pixel] = SKY_DEPTH
+    gbuffer.hit[pixel] = wp.vec2i(MISS, MISS)
+    gbuffer.barycentrics[pixel] = wp.uint32(0)
+    up = pack_normal(wp.vec3(0.0, 0.0, 1.0))
+    gbuffer.geometric_normal[pixel] = up
+    gbuffer.normal[pixel] = up
+    store_material(gbuffer, pixel, SurfaceMaterial())
+    light = finite_or_zero(wp.cw_mul(radiance, weight)) * view.exposure
+    if view.transparent == 1:
+        gbuffer.emission[pixel] = to_half(wp.vec4(0.0, 0.0, 0.0, 0.0))
+        return
+    if (scene.environment.visibility & VISIBLE_CAMERA) == 0:
+        light = wp.vec3(0.0, 0.0, 0.0)
+    gbuffer.emission[pixel] = to_half(rgba(light, 1.0))
+
+
+@wp.func
+def pixel_point(view: View, scene: Scene, hits: PrimaryHits, pixel: int, ray: CameraRay) -> ShadingPoint:
+    """Return the point at which a pixel's program runs: its hit, or the direction in which the world is seen."""
+    cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
+    if hits.hit[pixel][0] == MISS:
+        return world_point(ray.direction, VISIBLE_CAMERA, 0, cone[1])
+    t = hits.t[pixel]
+    point = surface_point(scene, make_hit(t, hits.hit[pixel], hits.barycentrics[pixel]), ray.direction)
+    point.footprint = cone[0] + cone[1] * t
+    point.ray_visibility = VISIBLE_CAMERA
+    point.ray_length = t
+    point.ray_depth = 0
+    return point

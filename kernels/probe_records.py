@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screen probes: what pixels need of a tile's probes, in few words that load at once.
+
+The light's harmonics are turned into world space here, once a probe, so that a pixel evaluates its basis once for all
+probes around it. Two records a tile (ProbeTiles.probe and .other) of 14 words of 8 bytes.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import orthonormal_tangent
+from .packing import HALF_MAX, rgb, unpack_normal
+from .probe_gather import outdated
+from .probe_types import BANDS, ProbeGrid, ProbePool, ProbeTiles
+from .view import View, project
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+RECORD = wp.constant(14)
+"""Words: film position; centre x, y; centre z, clear distance; normal, slot; 10 bands (rgb, and trust in the first)"""
+RECORD_BANDS = wp.constant(4)
+
+# Weight of a probe that holds the light from before an edit, beside others.
+OUTDATED_TRUST = wp.constant(0.01)
+
+# No probe: farther than any pixel.
+OFF_FILM = wp.constant(1.0e9)
+
+WorldBands = wp.types.vector(length=9, dtype=wp.float32)
+
+
+@wp.func
+def pack_floats(a: float, b: float) -> wp.uint64:
+    """Pack the bits of two floats."""
+    return wp.uint64(wp.cast(a, wp.uint32)) | (wp.uint64(wp.cast(b, wp.uint32)) << wp.uint64(32))
+
+
+@wp.func
+def unpack_floats(packed: wp.uint64) -> wp.vec2:
+    """Return the floats of pack_floats."""
+    return wp.vec2(
+        wp.cast(wp.uint32(packed & wp.uint64(0xFFFFFFFF)), float), wp.cast(wp.uint32(packed >> wp.uint64(32)), float))
+
+
+@wp.func
+def half_bits(x: float) -> wp.uint64:
+    """Return the bits of a number as half-float, clamped to its range."""
+    return wp.uint64(wp.cast(wp.float16(wp.clamp(x, -HALF_MAX, HALF_MAX)), wp.uint16))
+
+
+@wp.func
+def half_at(packed: wp.uint64, shift: wp.uint64) -> float:
+    """Return one of the half-floats in a word."""
+    return float(wp.cast(wp.uint16((packed >> shift) & wp.uint64(0xFFFF)), wp.float16))
+
+
+@wp.func
+def pack_band(c: wp.vec3, trust: float) -> wp.uint64:
+    """Pack four half-floats."""
+    return (half_bits(c[0]) | (half_bits(c[1]) << wp.uint64(16)) | (half_bits(c[2]) << wp.uint64(32))
+            | (half_bits(trust) << wp.uint64(48)))
+
+
+@wp.func
+def unpack_band(packed: wp.uint64) -> wp.vec3:
+    """Return the colour of pack_band."""
+    return wp.vec3(
+        half_at(packed, wp.uint64(0)), half_at(packed, wp.uint64(16)), half_at(packed, wp.uint64(32)))
+
+
+@wp.func
+def world_basis(d: wp.vec3, first: float, second: float) -> WorldBands:
+    """Return the functions that the coefficients of a record belong to, times a factor for l = 1 and for l = 2.
+
+    1; x, y, z; x^2 - z^2, y^2 - z^2, 2 x y, 2 y z, 2 x z: the last five take a traceless symmetric matrix.
+    """
+    x = d[0]
+    y = d[1]
+    z = d[2]
+    return WorldBands(
+        1.0, x * first, y * first, z * first, (x * x - z * z) * second, (y * y - z * z) * second,
+        2.0 * x * y * second, 2.0 * y * z * second, 2.0 * x * z * second)
+
+
+@wp.func
+def world_coefficients(pool: ProbePool, slot: int, n: wp.vec3, c: int) -> WorldBands:
+    """Return one colour's coefficients in world_basis; the pool holds those of probe_map.band_basis about n."""
+    i = slot * BANDS
+    t = orthonormal_tangent(n)
+    b = wp.cross(n, t)
+    v = (t * pool.irradiance[i + 3][c] + b * pool.irradiance[i + 1][c] + n * pool.irradiance[i + 2][c]) * 0.48860251
+    xy = 0.54627422 * pool.irradiance[i + 4][c]
+    yz = 0.54627422 * pool.irradiance[i + 5][c]
+    xz = 0.54627422 * pool.irradiance[i + 7][c]
+    up = 0.31539157 * pool.irradiance[i + 6][c]
+    across = 0.54627422 * pool.irradiance[i + 8][c]
+    # Rows of the local matrix, each turned into world space; then the columns.
+    mt = t * (across - up) + b * xy + n * xz
+    mb = t * xy - b * (across + up) + n * yz
+    mn = t * xz + b * yz + n * (2.0 * up)
+    m = wp.outer(t, mt) + wp.outer(b, mb) + wp.outer(n, mn)
+    return WorldBands(
+        0.28209479 * pool.irradiance[i][c], v[0], v[1], v[2], m[0, 0], m[1, 1], m[0, 1], m[1, 2], m[0, 2])
+
+
+@wp.kernel
+def record_probes(
+    first: int,
+    # In:
+    grid: ProbeGrid,
+    views: wp.array[View],
+    tiles: ProbeTiles,
+    pool: ProbePool,
+    # Out:
+    records_out: wp.array[wp.uint64],
+):
+    """Make the record of one of the two probes of a tile."""
+    index = first + wp.tid()
+    base = index * RECORD
+    slot = wp.where(index % 2 == 0, tiles.probe[index // 2], tiles.other[index // 2])
+    if slot < 0:
+        records_out[base] = pack_floats(OFF_FILM, OFF_FILM)
+        return
+    view = views[0]
+    center = pool.center[slot]
+    film = project(view.camera, center)
+    records_out[base] = pack_floats(film[0], film[1])
+    records_out[base + 1] = pack_floats(center[0], center[1])
+    records_out[base + 2] = pack_floats(center[2], pool.clear[slot])
+    records_out[base + 3] = wp.uint64(pool.normal[slot]) | (wp.uint64(slot) << wp.uint64(32))
+    n = unpack_normal(pool.normal[slot])
+    red = world_coefficients(pool, slot, n, 0)
+    green = world_coefficients(pool, slot, n, 1)
+    blue = world_coefficients(pool, slot, n, 2)
+    trust = wp.where(outdated(view, pool, slot), OUTDATED_TRUST, 1.0)
+    for k in range(9):
+        records_out[base + RECORD_BANDS + k] = pack_band(wp.vec3(red[k], green[k], blue[k]), trust)
+    records_out[base + RECORD_BANDS + 9] = pack_band(rgb(pool.irradiance[slot * BANDS + 9]), trust)
