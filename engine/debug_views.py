@@ -41,5 +41,6 @@ DEBUG_VIEWS: dict[str, str] = {
     "composite.direct": "Emission and direct light with the surfaces' colours",
     "composite.indirect": "Indirect light with the surfaces' colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
+    "rest.weight": "Share of path-traced samples in the picture, once it has been at rest for long: white is all",
 }
 """Help by name; a name is its pass and what it shows"""

@@ -28,14 +28,14 @@ THRESHOLD_RATIO = 4.0
 LEAST_SHARE = 0.01
 """Of the excess in all light, below which it is left to the probes"""
 
-FLOOR_SHARE = 0.05
-"""Of samples spread over all texels that may hold excess, so that none is drawn too rarely"""
-
 SUSPECT_RATIO = 2.0
 """A texel is looked at closely where its mean, or a neighbour's, is above the threshold over this"""
 
 CLOSE_LOOKS = 1 << 19
 """Directions evaluated in all suspect texels together"""
+
+POINTS_MAX = 40
+"""Points a side at which a texel is looked at: a sun of half a degree covers some hundred of them"""
 
 CHUNK = 1 << 16
 """Directions evaluated at once"""
@@ -46,6 +46,9 @@ def no_split(device: str) -> EnvironmentSplit:
     split = EnvironmentSplit()
     split.threshold = float(NO_THRESHOLD)
     split.table = no_environment(device)
+    split.points = 1
+    split.excess = wp.zeros(1, dtype=wp.vec3, device=device)
+    split.box = wp.zeros(1, dtype=wp.uint32, device=device)
     return split
 
 
@@ -66,44 +69,67 @@ def split_environment(scene: types.Scene, device: str) -> EnvironmentSplit:
     suspects, points = _suspects(mean, solid_angle)
     if len(suspects) == 0:
         return no_split(device)
-    luminance, peak = _look_closely(scene, suspects, points, width, height, device)
-    # The table knows brightness up to a factor; the close look gives it (peak: of the largest channel, as there).
-    scale = (peak.mean(1) * solid_angle.ravel()[suspects]).sum() / max(
-        (mean.ravel()[suspects] * solid_angle.ravel()[suspects]).sum(), 1e-30)
+    radiance = _look_closely(scene, suspects, points, width, height, device)
+    spots = solid_angle.ravel()[suspects]
+    # The table knows brightness up to a factor; the close look gives it (of the largest channel, as there).
+    scale = (radiance.max(-1).mean(1) * spots).sum() / max((mean.ravel()[suspects] * spots).sum(), 1e-30)
     mean = mean * scale
     threshold = _threshold(mean, solid_angle)
+    luminance = np.maximum(radiance @ np.array(scene.luminance, np.float64), 0.0)
     excess = np.maximum(luminance - threshold, 0.0).mean(1)
-    spots = solid_angle.ravel()[suspects]
     total = (excess * spots).sum()
     share = total / max((mean * solid_angle).sum(), 1e-30)
     if not np.isfinite(share) or share < LEAST_SHARE:
         return no_split(device)
-    # Neighbours of bright texels may hold some of it between the points looked at.
-    bright = np.zeros(width * height)
-    bright[suspects] = luminance.max(1) > threshold
-    floor = (_dilate(bright.reshape(height, width)) * solid_angle).ravel()
-    weights = np.zeros(width * height)
-    weights[suspects] = (1.0 - FLOOR_SHARE) * excess * spots / total
-    weights += FLOOR_SHARE * floor / floor.sum()
-    return _make_split(scene, weights / weights.sum(), float(threshold), float(total * 4.0 * np.pi), float(share),
-                       device)
-
-
-def _make_split(
-    scene: types.Scene, weights: np.ndarray, threshold: float, power: float, share: float, device: str,
-) -> EnvironmentSplit:
     split = EnvironmentSplit()
-    split.threshold, split.power, split.share = threshold, power, min(share, 1.0)
+    split.threshold, split.power, split.share = float(threshold), float(total * 4.0 * np.pi), float(min(share, 1.0))
+    split.points = points
+    held = excess > 0.0
+    box, color = _boxes(radiance[held], luminance[held], threshold, points)
+    _fill_tables(split, scene, suspects[held], (excess * spots)[held] / total, box, color, device)
+    return split
+
+
+def _boxes(
+    radiance: np.ndarray, luminance: np.ndarray, threshold: float, points: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the smallest box of points that holds a texel's excess (as EnvironmentSplit.box), and its mean in there.
+
+    So a sun that is smaller than a texel keeps its sharp shadow.
+    """
+    bright = (luminance > threshold).reshape(-1, points, points)
+    sides = []
+    for axis in (1, 2):
+        line = bright.any(axis)
+        first = line.argmax(1)
+        sides.append((first, points - line[:, ::-1].argmax(1) - first))
+    (left, across), (top, down) = sides
+    kept = np.maximum(1.0 - threshold / np.maximum(luminance, 1e-30), 0.0)
+    color = np.maximum(radiance * kept[..., None], 0.0).sum(1) / (across * down)[:, None]
+    return left | (across << 8) | (top << 16) | (down << 24), color
+
+
+def _fill_tables(
+    split: EnvironmentSplit, scene: types.Scene, texels: np.ndarray, chances: np.ndarray, box: np.ndarray,
+    color: np.ndarray, device: str,
+) -> None:
+    """Put what is known of the texels with excess onto the device."""
+    environment = scene.environment
+    count = environment.width * environment.height
+    weights, boxes, colors = np.zeros(count), np.zeros(count, np.uint32), np.zeros((count, 3), np.float32)
+    weights[texels] = chances / chances.sum()
+    boxes[texels], colors[texels] = box, color
     probability, alias = build_alias_table(weights)
     table = no_environment(device)
-    table.width, table.height = scene.environment.width, scene.environment.height
-    table.visibility = scene.environment.visibility
+    table.width, table.height = environment.width, environment.height
+    table.visibility = environment.visibility
     table.constant = 0
     table.probability = wp.array(probability, dtype=float, device=device)
     table.alias = wp.array(alias, dtype=int, device=device)
     table.weight = wp.array(weights.astype(np.float32), dtype=float, device=device)
     split.table = table
-    return split
+    split.excess = wp.array(colors, dtype=wp.vec3, device=device)
+    split.box = wp.array(boxes, dtype=wp.uint32, device=device)
 
 
 def _relative_radiance(environment: types.Environment, solid_angle: np.ndarray) -> np.ndarray:
@@ -139,13 +165,13 @@ def _suspects(mean: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, in
     if not bright.any():
         return np.zeros(0, np.int64), 0
     suspects = np.flatnonzero(_dilate(bright.astype(float)))
-    return suspects, int(np.clip(np.sqrt(CLOSE_LOOKS / len(suspects)), 2, 16))
+    return suspects, int(np.clip(np.sqrt(CLOSE_LOOKS / len(suspects)), 2, POINTS_MAX))
 
 
 def _look_closely(
     scene: types.Scene, texels: np.ndarray, points: int, width: int, height: int, device: str,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return luminance and largest channel of the world, unfiltered, at points x points places in each texel."""
+) -> np.ndarray:
+    """Return the world's radiance, unfiltered, at points x points places in each texel: [texels, points^2, 3]."""
     steps = (np.arange(points) + 0.5) / points
     x = ((texels % width)[:, None, None] + steps[None, None, :]) / width
     y = ((texels // width)[:, None, None] + steps[None, :, None]) / height
@@ -154,9 +180,7 @@ def _look_closely(
         [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
     radiance = _evaluate(scene, directions.astype(np.float32), device)
     radiance[~np.isfinite(radiance).all(1)] = 0.0
-    luminance = radiance @ np.array(scene.luminance, np.float64)
-    shape = (len(texels), points * points)
-    return np.maximum(luminance, 0.0).reshape(shape), np.maximum(radiance.max(1), 0.0).reshape(shape)
+    return np.maximum(radiance, 0.0).reshape(len(texels), points * points, 3)
 
 
 def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.ndarray:

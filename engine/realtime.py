@@ -104,7 +104,7 @@ class Realtime:
         limit = denoiser.rest_frames if denoiser.path_traced_rest else 1 << 62
         target = self.samples_done + samples
         while self.samples_done < target and not should_stop():
-            if self.frames >= max(limit, 1) and not self._settings.debug.view:
+            if self.frames >= max(limit, 1) and self._settings.debug.view in ("", *RestBlend.debug_views):
                 self._trace(scene, camera, options(), target, should_stop)
                 return
             self._frame(scene, camera)
@@ -133,7 +133,8 @@ class Realtime:
     def picture(self) -> wp.array:
         """Return the newest picture: vec4 [h * w], as the film shows it."""
         if self._blended and self.reference.samples_done > 0:
-            return self._blend.resolve(self._film, self.pipeline.picture, self._settings.film.transparent)
+            blend = self._blend.resolve(self._film, self.pipeline.picture, self._settings.film.transparent)
+            return self._blend.show_weight() if self._settings.debug.view else blend
         return self.pipeline.picture
 
 

@@ -236,8 +236,9 @@ class DirectLightSettings:
         4, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
         "each for some time", low=1, high=64, soft_high=16)
     temporal_reuse: int = setting(
-        8, "Frames' worth of candidates taken over from the frame before (0: none): less noise in motion at little "
-        "cost, but noise that moves in patches", low=0, high=64)
+        1, "Frames' worth of candidates taken over from the frame before, where a scene has more lights than "
+        "candidates (0: none): less noise in one frame for some time, but noise that moves in patches, which the "
+        "denoiser keeps", low=0, high=64)
     half_rate: bool = setting(
         True, "Trace every other pixel's shadow ray while something moves: half the shadow rays, softer shadows in "
         "motion")

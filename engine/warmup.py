@@ -29,6 +29,7 @@ from ..kernels import (
     direct_atrous,
     direct_candidates,
     direct_debug,
+    direct_emitters,
     direct_shade,
     direct_shadow,
     direct_temporal,
@@ -71,10 +72,10 @@ __all__ = ["KERNEL_MODULES", "warm_up"]
 KERNEL_MODULES = (
     film, display, compaction, tracing, flatten, lobe_moments, antialias, cache_cells, cache_debug, cache_lights,
     cache_rays, cache_shade, composite, composite_debug, denoise_debug, diffuse_blur, diffuse_temporal,
-    direct_atrous, direct_candidates, direct_debug, direct_shadow, direct_temporal, gbuffer_debug, gbuffer_rays,
-    probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map, probe_place, probe_records,
-    probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers, shadow_layers, shadow_lights,
-    materials, reference, cache_lean, cache_materials, cache_programs, direct_shade, gbuffer_layers,
+    direct_atrous, direct_candidates, direct_debug, direct_emitters, direct_shadow, direct_temporal, gbuffer_debug,
+    gbuffer_rays, probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map, probe_place,
+    probe_records, probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers, shadow_layers,
+    shadow_lights, materials, reference, cache_lean, cache_materials, cache_programs, direct_shade, gbuffer_layers,
     gbuffer_layers_lean, gbuffer_lean, gbuffer_materials,
 )
 """Modules that own kernels, the quickest to build first."""

@@ -4,7 +4,7 @@
 Initial candidates and temporal reuse of ReSTIR (Bitterli et al. 2020). The two are joined by the balance heuristic
 over their targets (Talbot et al. 2005; "generalized balance heuristic" in Lin et al. 2022, section 5.7), which is
 unbiased where a sample could not have been drawn at the other pixel; visibility is not fed back, so shadows can
-neither darken nor lag.
+neither darken nor lag. Kernels run over slots (direct_reservoir.pixel_of_slot).
 """
 
 from __future__ import annotations
@@ -13,41 +13,51 @@ import warp as wp
 
 from .direct_reservoir import (
     LARGE,
-    UNTRACED,
     DirectOptions,
-    LitSurface,
+    Receiver,
     Reservoir,
     Reservoirs,
-    Shadows,
-    load_lit,
-    load_previous_lit,
+    has_sample,
+    load_previous_receiver,
+    load_receiver,
     load_reservoir,
+    pixel_of_slot,
+    target,
     target_of,
-    traces_itself,
 )
 from .environment_split import EnvironmentSplit
-from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
-from .intersect import offset_origin, surface_point
-from .light_candidate import CANDIDATE_WORLD, candidate_kind, choose, replay
-from .lights import FAR
-from .paths import PENDING_NONE, PENDING_TRIANGLE, PENDING_WORLD, Paths, make_hit
+from .gbuffer import GBuffer, has_surface, load_surface
+from .light_candidate import BELOW_ONE, choose, light_classes, replay
 from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
 from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_pair
-from .terminator import smooth_surface_offset
-from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene, ShadingPoint
-from .view import View, direction_to_eye
+from .types import Scene
+from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Dimensions of the pixel's sequences, apart from those of the reference and the G-buffer.
 DIMENSION_PICK = wp.constant(64)
-DIMENSION_PLACE = wp.constant(65)
 DIMENSION_POINT = wp.constant(66)
 DIMENSION_RESAMPLE = wp.constant(67)
 """x: which candidate stays"""
 
+# Steps from one candidate's numbers to the next's: 1 / g and 1 / g^2 of the plastic number g (Roberts 2018), and the
+# golden ratio's.
+STEP_X = wp.constant(0.7548777)
+STEP_Y = wp.constant(0.5698403)
+STEP_REFILL = wp.constant(0.6180340)
+
 # Frames at rest after which every frame draws anew: independent samples converge faster.
 REUSE_REST = wp.constant(16.0)
+
+# A borrower may take a sample for this many times what it was chosen for: beyond that it would be a spark.
+LENT_MAX = wp.constant(8.0)
+
+# Cosine with the light below which no borrower's normal can face it (direct_shade.NEIGHBOUR_COSINE).
+LEAST_COSINE = wp.constant(-0.45)
+
+# Weight of a tap that has samples where the nearest has none (in motion every other pixel has).
+LEAST_TAP = wp.constant(0.02)
 
 
 @wp.func
@@ -58,25 +68,42 @@ def seed_of(view: View, options: DirectOptions, pixel: int) -> wp.uint32:
 
 
 @wp.func
+def fraction(x: float) -> float:
+    """Return the part after the point, below 1."""
+    return wp.min(x - wp.floor(x), BELOW_ONE)
+
+
+@wp.func
 def draw_candidates(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, p: LitSurface, seed: wp.uint32, frame: int,
-    random: float,
+    scene: Scene, split: EnvironmentSplit, options: DirectOptions, emitters: wp.array[wp.uint64], p: Receiver,
+    seed: wp.uint32, index: wp.uint32,
 ) -> Reservoir:
-    """Draw this frame's candidates and keep one by its target over its chance."""
+    """Draw this frame's candidates and keep one by its target over its chance.
+
+    One point of the pixel's sequence serves all candidates, shifted from one to the next: each is as uniform as the
+    first, together they are spread evenly over lights and places, and through all frames they are one stratified set.
+    """
+    which = sample_pair(seed, index, DIMENSION_PICK)
+    place = sample_pair(seed, index, DIMENSION_POINT)
+    resample = sample_pair(seed, index, DIMENSION_RESAMPLE)
+    classes = light_classes(scene.lights, split)
     r = Reservoir()
     r.count = float(options.candidates)
     total = float(0.0)
-    left = float(random)
+    value = float(0.0)
+    chance = float(0.0)
+    left = float(resample[0])
     k = int(0)
     while k < options.candidates:
-        # One sequence through all frames: at rest they are one stratified set.
-        index = wp.uint32(frame) * wp.uint32(options.candidates) + wp.uint32(k)
+        step = float(k)
         choice = choose(
-            scene, split, p.surface.position, sample_pair(seed, index, DIMENSION_PICK),
-            sample_pair(seed, index, DIMENSION_PLACE), sample_pair(seed, index, DIMENSION_POINT))
+            scene, split, classes, p.position,
+            wp.vec2(fraction(which[0] + step / r.count), fraction(which[1] + step * STEP_REFILL)),
+            wp.vec2(fraction(place[0] + step * STEP_X), fraction(place[1] + step * STEP_Y)))
         if choice.chance > 0.0:
-            value = target_of(scene, split, options, p, choice.candidate)
-            weight = value / choice.chance
+            s = replay(scene, split, emitters, p.position, choice.candidate)
+            here = target(p, s, scene.luminance)
+            weight = here / choice.chance
             if weight > 0.0:
                 total = total + weight
                 share = weight / total
@@ -84,18 +111,69 @@ def draw_candidates(
                 if left < share:
                     left = left / share
                     r.candidate = choice.candidate
-                    r.value = value
+                    value = here
+                    chance = choice.chance
                 else:
                     left = (left - share) / (1.0 - share)
+            elif total == 0.0 and s.kind >= 0 and wp.dot(p.normal, s.wi) > LEAST_COSINE:
+                # Nothing for this pixel, but a borrower may lie inside the light's cone or face it a little more.
+                r.candidate = choice.candidate
+                chance = choice.chance
         k = k + 1
-    if r.value > 0.0:
-        r.weight = wp.min(total / (float(options.candidates) * r.value), LARGE)
+    if value > 0.0:
+        r.weight = wp.min(total / (r.count * value), LARGE)
+        r.lent = wp.min(r.weight, LENT_MAX / chance)
+    elif chance > 0.0:
+        r.weight = 1.0 / chance
+        r.lent = r.weight
     return r
 
 
 @wp.func
-def choose_tap(view: View, reprojection: Reprojection, width: int, pixel: int, random: float) -> int:
-    """Return a pixel of the frame before that shows the same surface, drawn by bilinear weights; -1 for none."""
+def store_reservoir(reservoirs: Reservoirs, pixel: int, r: Reservoir):
+    """Keep a reservoir for the frame to come."""
+    reservoirs.sample[pixel] = wp.vec2ui(r.candidate.light, r.candidate.u)
+    reservoirs.weight[pixel] = wp.vec2(r.weight, r.count)
+
+
+@wp.kernel
+def resample_lights(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    split: EnvironmentSplit,
+    emitters: wp.array[wp.uint64],
+    options: DirectOptions,
+    gbuffer: GBuffer,
+    # Out:
+    reservoirs_out: Reservoirs,
+    lent_out: wp.array[float],
+):
+    """Choose a light sample for each pixel that has one of its own."""
+    slot = first + wp.tid()
+    view = views[0]
+    pixel = pixel_of_slot(view, options, slot)
+    if pixel < 0:
+        return
+    r = Reservoir()
+    if has_sample(view, options, slot):
+        surface = load_surface(view, gbuffer, options.width, pixel)
+        if has_surface(surface):
+            p = load_receiver(view, gbuffer, surface, pixel, scene.luminance)
+            r = draw_candidates(
+                scene, split, options, emitters, p, seed_of(view, options, pixel), wp.uint32(view.frame))
+        lent_out[pixel] = r.lent
+    elif options.reuse == 0:
+        return
+    store_reservoir(reservoirs_out, pixel, r)
+
+
+@wp.func
+def choose_tap(
+    view: View, reprojection: Reprojection, previous: Reservoirs, width: int, pixel: int, random: float,
+) -> int:
+    """Return a pixel of the frame before that shows the same surface and drew samples; -1 for none."""
     taps = reprojection.taps[pixel]
     if view.restart == 1 or view.light_age == 0 or taps == wp.uint8(0):
         return -1
@@ -106,36 +184,35 @@ def choose_tap(view: View, reprojection: Reprojection, width: int, pixel: int, r
     tap = int(0)
     while tap < 4:
         if has_tap(taps, tap):
-            weight = tap_weight(position, tap)
-            if weight > 0.0:
+            q = tap_pixel(position, tap, width)
+            if previous.weight[q][1] > 0.0:
+                weight = wp.max(tap_weight(position, tap), LEAST_TAP)
                 total = total + weight
                 share = weight / total
                 if left < share:
                     left = left / share
-                    chosen = tap
+                    chosen = q
                 else:
                     left = (left - share) / (1.0 - share)
         tap = tap + 1
-    if chosen < 0:
-        return -1
-    return tap_pixel(position, chosen, width)
+    return chosen
 
 
 @wp.func
 def join(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, p: LitSurface, q: LitSurface, now: Reservoir,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], p: Receiver, q: Receiver, now: Reservoir,
     before: Reservoir, random: float,
 ) -> Reservoir:
     """Join this frame's reservoir at `p` with one of the frame before at `q`."""
-    here = now.value
+    here = target_of(scene, split, emitters, p, now.candidate)
     now_weight = float(0.0)
     if here > 0.0:
-        there = target_of(scene, split, options, q, now.candidate)
+        there = target_of(scene, split, emitters, q, now.candidate)
         now_weight = now.count * here / (now.count * here + before.count * there) * here * now.weight
-    carried = target_of(scene, split, options, p, before.candidate)
+    carried = target_of(scene, split, emitters, p, before.candidate)
     before_weight = float(0.0)
     if carried > 0.0 and before.weight > 0.0:
-        there = target_of(scene, split, options, q, before.candidate)
+        there = target_of(scene, split, emitters, q, before.candidate)
         before_weight = before.count * there / (now.count * carried + before.count * there) * carried * before.weight
     total = now_weight + before_weight
     r = Reservoir()
@@ -147,16 +224,18 @@ def join(
         else:
             r.candidate = before.candidate
             r.weight = wp.min(total / carried, LARGE)
+    r.lent = r.weight
     return r
 
 
 @wp.kernel
-def resample_lights(
+def reuse_lights(
     # In:
     first: int,
     views: wp.array[View],
     scene: Scene,
     split: EnvironmentSplit,
+    emitters: wp.array[wp.uint64],
     options: DirectOptions,
     gbuffer: GBuffer,
     previous_gbuffer: GBuffer,
@@ -164,110 +243,30 @@ def resample_lights(
     previous: Reservoirs,
     # Out:
     reservoirs_out: Reservoirs,
+    lent_out: wp.array[float],
 ):
-    """Choose each pixel's light sample: initial candidates, then temporal reuse."""
-    pixel = first + wp.tid()
+    """Join each pixel's sample with that of its surface in the frame before."""
+    slot = first + wp.tid()
     view = views[0]
-    r = Reservoir()
-    p = load_lit(view, gbuffer, options.width, pixel)
-    if has_surface(p.surface):
-        seed = seed_of(view, options, pixel)
-        index = wp.uint32(view.frame)
-        u = sample_pair(seed, index, DIMENSION_RESAMPLE)
-        r = draw_candidates(scene, split, options, p, seed, view.frame, u[0])
-        cap = float(options.candidates * options.reuse) * wp.max(1.0 - float(view.rest) / REUSE_REST, 0.0)
-        if cap > 0.0:
-            # Independent of all before: numbers of the sequence that has decided earlier which sample stays would
-            # favour samples that have already been favoured (1.6 % too much red from a textured lamp).
-            noise = hash_combine(seed, index)
-            q = choose_tap(view, reprojection, options.width, pixel, hashed_unit(noise, wp.uint32(0)))
-            if q >= 0:
-                before = load_reservoir(previous, q)
-                before.count = wp.min(before.count, cap)
-                other = load_previous_lit(view, previous_gbuffer, options.width, q)
-                r = join(scene, split, options, p, other, r, before, hashed_unit(noise, wp.uint32(1)))
-    reservoirs_out.sample[pixel] = wp.vec2ui(r.candidate.light, r.candidate.u)
-    reservoirs_out.weight[pixel] = wp.vec2(r.weight, r.count)
-
-
-@wp.func
-def pixel_point(view: View, scene: Scene, gbuffer: GBuffer, width: int, pixel: int) -> ShadingPoint:
-    """Return the exact point of a pixel's surface, from its triangle."""
-    ids = gbuffer.hit[pixel]
-    surface = load_surface(view, gbuffer, width, pixel)
-    direction = -direction_to_eye(view.camera, surface.position)
-    return surface_point(scene, make_hit(surface.depth, ids, barycentrics_of(gbuffer, pixel)), direction)
-
-
-@wp.func
-def pending_of(scene: Scene, kind: int, instance: int, triangle: int, world: int) -> int:
-    """Return which program must be run for a light's radiance (PENDING_*)."""
-    if world == 1:
-        return PENDING_WORLD
-    if kind != LIGHT_TRIANGLE:
-        return PENDING_NONE
-    material = scene.materials.instance_materials[
-        scene.geometry.instances[instance].material_offset
-        + wp.min(scene.geometry.slots[triangle], scene.geometry.instances[instance].material_count - 1)]
-    if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
-        return PENDING_NONE
-    return PENDING_TRIANGLE
-
-
-@wp.kernel
-def aim_shadow_rays(
-    # In:
-    first: int,
-    views: wp.array[View],
-    scene: Scene,
-    split: EnvironmentSplit,
-    options: DirectOptions,
-    gbuffer: GBuffer,
-    reservoirs: Reservoirs,
-    # Out:
-    rays_out: Paths,
-    shadows_out: Shadows,
-):
-    """Set up each pixel's shadow ray, as the reference does (set_shadow_ray)."""
-    pixel = first + wp.tid()
-    view = views[0]
-    rays_out.shadow_distance[pixel] = 0.0
-    if options.full == 1:
-        # Until the layers have been looked through all rays wait.
-        rays_out.shadow_light[pixel] = wp.vec3(1.0, 1.0, 1.0)
-        rays_out.shadow_pending[pixel] = PENDING_WORLD
-        shadows_out.program[pixel] = wp.uint8(PENDING_NONE)
-    r = load_reservoir(reservoirs, pixel)
+    pixel = pixel_of_slot(view, options, slot)
+    if pixel < 0 or not has_sample(view, options, slot):
+        return
+    cap = float(options.candidates * options.reuse) * wp.max(1.0 - float(view.rest) / REUSE_REST, 0.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
-    if not (r.weight > 0.0) or not has_surface(surface):
+    if cap <= 0.0 or not has_surface(surface):
         return
-    traces = traces_itself(view, options, gbuffer, reservoirs, surface, pixel)
-    if not traces and options.full == 0:
+    # Independent of all before: numbers of the sequence that has decided earlier which sample stays would favour
+    # samples that have already been favoured (1.6 % too much red from a textured lamp).
+    noise = hash_combine(seed_of(view, options, pixel), wp.uint32(view.frame))
+    q = choose_tap(view, reprojection, previous, options.width, pixel, hashed_unit(noise, wp.uint32(0)))
+    if q < 0:
         return
-    point = pixel_point(view, scene, gbuffer, options.width, pixel)
-    s = replay(scene, split, options.local_power, point.position, r.candidate)
-    if s.kind < 0:
-        return
-    start = point.position + smooth_surface_offset(scene.geometry, point, s.wi)
-    origin = offset_origin(start, point.geometric_normal, point.error, s.wi)
-    direction = s.wi
-    distance = s.distance
-    if distance < FAR:
-        # Aim at the sampled point again: the origin has moved.
-        to_light = offset_origin(point.position + s.wi * s.distance, s.normal, s.error, -s.wi) - origin
-        distance = wp.length(to_light)
-        if not (distance > 0.0):
-            return
-        direction = to_light / distance
-    rays_out.shadow_origin[pixel] = origin
-    rays_out.shadow_direction[pixel] = direction
-    if traces:
-        rays_out.shadow_distance[pixel] = wp.where(s.shadow == 0, -distance, distance)
-    if options.full == 1:
-        world = wp.where(candidate_kind(r.candidate) == CANDIDATE_WORLD, 1, 0)
-        program = pending_of(scene, s.kind, s.instance, s.triangle, world)
-        if not traces:
-            program = program | UNTRACED
-        shadows_out.program[pixel] = wp.uint8(program)
-        rays_out.shadow_emitter[pixel] = wp.vec2i(s.instance, s.triangle)
-        rays_out.shadow_barycentrics[pixel] = wp.vec2(s.u, s.v)
+    before = load_reservoir(previous, q)
+    before.count = wp.min(before.count, cap)
+    p = load_receiver(view, gbuffer, surface, pixel, scene.luminance)
+    other = load_previous_receiver(view, previous_gbuffer, options.width, q, scene.luminance)
+    r = join(
+        scene, split, emitters, p, other, load_reservoir(reservoirs_out, pixel), before,
+        hashed_unit(noise, wp.uint32(1)))
+    store_reservoir(reservoirs_out, pixel, r)
+    lent_out[pixel] = r.lent

@@ -7,8 +7,8 @@ import warp as wp
 
 from .debug_colors import hash_color, heat
 from .direct_light import DirectLight
-from .direct_reservoir import DirectOptions, Reservoirs, Shadows, load_reservoir
-from .direct_shade import visibility_of
+from .direct_reservoir import DirectOptions, Reservoirs, has_sample, load_reservoir, slot_of_pixel
+from .direct_shade import factor_of
 from .light_candidate import CANDIDATE_NONE, CANDIDATE_WORLD, candidate_kind
 from .packing import from_half, rgb, rgba
 from .paths import Paths
@@ -24,7 +24,16 @@ SHOW_VISIBILITY = wp.constant(4)
 
 
 @wp.func
-def reservoir_color(options: DirectOptions, reservoirs: Reservoirs, pixel: int, what: int) -> wp.vec3:
+def sampled_pixel(view: View, options: DirectOptions, pixel: int) -> int:
+    """Return a pixel with a sample: itself or the one beside it."""
+    x = pixel % options.width
+    if has_sample(view, options, slot_of_pixel(view, options, pixel)) or options.width == 1:
+        return pixel
+    return wp.where(x > 0, pixel - 1, pixel + 1)
+
+
+@wp.func
+def reservoir_color(reservoirs: Reservoirs, pixel: int, what: int) -> wp.vec3:
     """Return the colour of a pixel's light or weight; black without one."""
     r = load_reservoir(reservoirs, pixel)
     kind = candidate_kind(r.candidate)
@@ -49,7 +58,6 @@ def show_direct(
     what: int,
     reservoirs: Reservoirs,
     rays: Paths,
-    shadows: Shadows,
     light: DirectLight,
     # Out:
     picture_out: wp.array[wp.vec4],
@@ -62,7 +70,8 @@ def show_direct(
     if what == SHOW_SPECULAR:
         color = rgb(from_half(light.specular[pixel])) / wp.max(views[0].exposure, 1.0e-30)
     if what == SHOW_LIGHT or what == SHOW_WEIGHT:
-        color = reservoir_color(options, reservoirs, pixel, what)
+        color = reservoir_color(reservoirs, sampled_pixel(views[0], options, pixel), what)
     if what == SHOW_VISIBILITY:
-        color = visibility_of(options, rays, shadows, pixel)
+        shown = sampled_pixel(views[0], options, pixel)
+        color = factor_of(options, rays, slot_of_pixel(views[0], options, shown))
     picture_out[pixel] = rgba(color, 1.0)

@@ -15,3 +15,11 @@ class DirectLight:
     sample, 0 where it has none"""
     specular: wp.array[wp.vec4h]
     """Exposed; times GBuffer.specular it is the radiance that leaves. w as in `diffuse`"""
+
+
+@wp.struct
+class PackedLight:
+    """The same memory in words that load and store at once (packed_halves.py)."""
+
+    diffuse: wp.array[wp.uint64]
+    specular: wp.array[wp.uint64]

@@ -3,7 +3,7 @@
 
 Resampled importance sampling (Talbot et al. 2005; Bitterli et al. 2020). Light is kept without the surface's colours
 (demodulated), and the target takes dark colours for a little brighter: a black texel must hold light that its
-neighbours' filters can use.
+neighbours' filters can use. The target is a number made for speed; what is shaded in the end is the exact light.
 """
 
 from __future__ import annotations
@@ -11,22 +11,13 @@ from __future__ import annotations
 import warp as wp
 
 from .environment_split import EnvironmentSplit
-from .gbuffer import (
-    GBuffer,
-    Surface,
-    SurfaceMaterial,
-    has_surface,
-    load_material,
-    load_previous_surface,
-    load_surface,
-    plane_distance,
-)
-from .geometry_math import is_finite3, luminance
+from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_previous_surface
+from .geometry_math import INV_PI, is_finite3, luminance, max_component, sqr
 from .light_candidate import Candidate, replay
 from .lights import LightSample
-from .surface_brdf import evaluate_brdf
+from .surface_brdf import evaluate_brdf, surface_alpha
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene
-from .view import View, direction_to_eye, pixel_footprint
+from .view import View, direction_to_eye
 
 # Diffuse albedo that the target takes at least.
 ALBEDO_FLOOR = wp.constant(0.02)
@@ -37,11 +28,8 @@ SPECULAR_MIN = wp.constant(1.0e-4)
 # Largest target and weight that are kept: products of two still fit a float.
 LARGE = wp.constant(1.0e18)
 
-# Cosine between the normals of neighbours that may lend each other their shadow rays.
-NEIGHBOUR_COSINE = wp.constant(0.9)
-
-# Shadows.program
-UNTRACED = wp.constant(4)
+# Cosine that the target's specular lobe takes at least, for the view and the light.
+COSINE_FLOOR = wp.constant(0.02)
 
 
 @wp.struct
@@ -55,11 +43,9 @@ class DirectOptions:
     reuse: int
     """Most candidates taken over from the frame before, in multiples of `candidates`"""
     half_rate: int
-    """1: every other pixel borrows its neighbours' shadow rays while something moves"""
+    """1: every other pixel borrows a neighbour's sample while something moves"""
     full: int
     """1: triangles that need a test may be in the way, or radiance of lights may be a program"""
-    local_power: float
-    """Power of all lamps with a place and all emissive triangles [W]"""
 
 
 @wp.struct
@@ -69,17 +55,7 @@ class Reservoirs:
     sample: wp.array[wp.vec2ui]
     """Candidate: light, u"""
     weight: wp.array[wp.vec2]
-    """W, the estimate of 1 / density of the sample; how many candidates it stands for"""
-
-
-@wp.struct
-class Shadows:
-    """What came of the shadow rays where layers or programs are involved; else their distance says it all."""
-
-    visibility: wp.array[wp.vec4h]
-    """Transmittance in xyz"""
-    program: wp.array[wp.uint8]
-    """PENDING_* of the pixel's light, | UNTRACED where the pixel has no shadow ray of its own"""
+    """W, the estimate of 1 / density of the sample; how many candidates it stands for (0: none were drawn here)"""
 
 
 @wp.struct
@@ -89,8 +65,8 @@ class Reservoir:
     candidate: Candidate
     weight: float
     count: float
-    value: float
-    """Target of the candidate where it was drawn; not kept from frame to frame"""
+    lent: float
+    """`weight`, limited for receivers at which the sample may be worth far more; not kept from frame to frame"""
 
 
 @wp.struct
@@ -100,9 +76,22 @@ class LitSurface:
     surface: Surface
     material: SurfaceMaterial
     """Diffuse and translucent albedo divided by their sum"""
-    albedo: wp.vec3
-    """Their sum"""
     wo: wp.vec3
+
+
+@wp.struct
+class Receiver:
+    """What the target needs of a pixel: colours are luminances here."""
+
+    position: wp.vec3
+    normal: wp.vec3
+    geometric_normal: wp.vec3
+    wo: wp.vec3
+    diffuse: float
+    transmitted: float
+    f0: float
+    f90: float
+    alpha: float
 
 
 @wp.struct
@@ -111,6 +100,44 @@ class LightTerms:
 
     diffuse: wp.vec3
     specular: wp.vec3
+
+
+@wp.func
+def slots_of_color(options: DirectOptions) -> int:
+    """Return how many slots a colour of the checkerboard has."""
+    return ((options.width + 1) // 2) * options.height
+
+
+@wp.func
+def pixel_of_slot(view: View, options: DirectOptions, slot: int) -> int:
+    """Return the pixel of a slot, -1 for none.
+
+    Slots go through one colour of the checkerboard, then through the other; the colours swap every frame. In motion
+    only the first has samples of its own: the warps of the second have nothing to do but to end.
+    """
+    half = (options.width + 1) // 2
+    color = slot // (half * options.height)
+    row = slot // half
+    y = row - color * options.height
+    x = 2 * (slot - row * half) + ((y + color + view.frame) & 1)
+    if x >= options.width:
+        return -1
+    return y * options.width + x
+
+
+@wp.func
+def slot_of_pixel(view: View, options: DirectOptions, pixel: int) -> int:
+    """Return the slot of a pixel."""
+    half = (options.width + 1) // 2
+    y = pixel // options.width
+    x = pixel - y * options.width
+    return (((x + y + view.frame) & 1) * options.height + y) * half + x // 2
+
+
+@wp.func
+def has_sample(view: View, options: DirectOptions, slot: int) -> bool:
+    """Return whether a slot has a sample and a shadow ray of its own: at rest all, in motion every other pixel."""
+    return options.half_rate == 0 or view.rest > 0 or slot < slots_of_color(options)
 
 
 @wp.func
@@ -133,32 +160,55 @@ def share_of(part: float, whole: float) -> float:
 
 
 @wp.func
-def make_lit(surface: Surface, material: SurfaceMaterial, wo: wp.vec3) -> LitSurface:
-    """Take the colours out of a material."""
+def load_lit(view: View, gbuffer: GBuffer, surface: Surface, pixel: int) -> LitSurface:
+    """Return a pixel of this frame without its diffuse colours."""
     p = LitSurface()
     p.surface = surface
-    p.material = material
-    p.albedo = material.diffuse + material.translucent
+    p.material = load_material(gbuffer, pixel)
+    diffuse = p.material.diffuse
+    albedo = diffuse + p.material.translucent
     p.material.diffuse = wp.vec3(
-        share_of(material.diffuse[0], p.albedo[0]), share_of(material.diffuse[1], p.albedo[1]),
-        share_of(material.diffuse[2], p.albedo[2]))
+        share_of(diffuse[0], albedo[0]), share_of(diffuse[1], albedo[1]), share_of(diffuse[2], albedo[2]))
     p.material.translucent = wp.vec3(1.0, 1.0, 1.0) - p.material.diffuse
-    p.wo = wo
+    p.wo = direction_to_eye(view.camera, surface.position)
     return p
 
 
 @wp.func
-def load_lit(view: View, gbuffer: GBuffer, width: int, pixel: int) -> LitSurface:
-    """Return a pixel of this frame."""
-    surface = load_surface(view, gbuffer, width, pixel)
-    return make_lit(surface, load_material(gbuffer, pixel), direction_to_eye(view.camera, surface.position))
+def make_receiver(surface: Surface, material: SurfaceMaterial, wo: wp.vec3, weights: wp.vec3) -> Receiver:
+    """Return what the target needs."""
+    floor = wp.vec3(ALBEDO_FLOOR, ALBEDO_FLOOR, ALBEDO_FLOOR)
+    p = Receiver()
+    p.position = surface.position
+    p.normal = surface.normal
+    p.geometric_normal = surface.geometric_normal
+    p.wo = wo
+    p.diffuse = luminance(wp.max(material.diffuse, floor), weights)
+    p.transmitted = 0.0
+    if max_component(material.translucent) > 0.0:
+        p.transmitted = luminance(wp.max(material.translucent, floor), weights)
+    p.f0 = 0.0
+    p.f90 = 0.0
+    if max_component(material.specular) > SPECULAR_MIN:
+        p.f0 = luminance(material.f0, weights)
+        p.f90 = material.f90
+    p.alpha = surface_alpha(material.roughness)
+    return p
 
 
 @wp.func
-def load_previous_lit(view: View, gbuffer: GBuffer, width: int, pixel: int) -> LitSurface:
+def load_receiver(view: View, gbuffer: GBuffer, surface: Surface, pixel: int, weights: wp.vec3) -> Receiver:
+    """Return a pixel of this frame."""
+    return make_receiver(
+        surface, load_material(gbuffer, pixel), direction_to_eye(view.camera, surface.position), weights)
+
+
+@wp.func
+def load_previous_receiver(view: View, gbuffer: GBuffer, width: int, pixel: int, weights: wp.vec3) -> Receiver:
     """Return a pixel of the frame before."""
     surface = load_previous_surface(view, gbuffer, width, pixel)
-    return make_lit(surface, load_material(gbuffer, pixel), direction_to_eye(view.previous, surface.position))
+    return make_receiver(
+        surface, load_material(gbuffer, pixel), direction_to_eye(view.previous, surface.position), weights)
 
 
 @wp.func
@@ -184,18 +234,43 @@ def light_terms(p: LitSurface, s: LightSample) -> LightTerms:
         terms.diffuse = wp.cw_mul(f.diffuse + f.transmitted, light)
     if (s.visibility & VISIBLE_GLOSSY) != 0:
         terms.specular = divide_color(wp.cw_mul(f.specular, light), p.material.specular)
-    if not (is_finite3(terms.diffuse) and is_finite3(terms.specular)):
-        terms.diffuse = wp.vec3(0.0, 0.0, 0.0)
-        terms.specular = wp.vec3(0.0, 0.0, 0.0)
     return terms
 
 
 @wp.func
-def target(scene: Scene, p: LitSurface, terms: LightTerms) -> float:
-    """Return what samples are resampled by: the luminance of the light that they send to the camera."""
-    albedo = wp.max(p.albedo, wp.vec3(ALBEDO_FLOOR, ALBEDO_FLOOR, ALBEDO_FLOOR))
-    color = wp.cw_mul(terms.diffuse, albedo) + wp.cw_mul(terms.specular, p.material.specular)
-    value = luminance(color, scene.luminance)
+def specular_estimate(p: Receiver, wi: wp.vec3, cos_i: float) -> float:
+    """Return about the GGX lobe's luminance times the cosine; above 0 wherever the lobe may be.
+
+    The masking is Hammon's fit to Smith's ("PBR Diffuse Lighting for GGX+Smith Microsurfaces", 2017).
+    """
+    h = wp.normalize(p.wo + wi)
+    a2 = sqr(p.alpha)
+    across = wp.cross(p.normal, h)
+    spread = wp.dot(across, across) + a2 * sqr(wp.dot(p.normal, h))
+    i = wp.max(cos_i, COSINE_FLOOR)
+    o = wp.max(wp.dot(p.normal, p.wo), COSINE_FLOOR)
+    masking = 0.5 / wp.lerp(2.0 * i * o, i + o, p.alpha)
+    m = wp.clamp(1.0 - wp.dot(p.wo, h), 0.0, 1.0)
+    m5 = sqr(sqr(m)) * m
+    return (p.f0 * (1.0 - m5) + p.f90 * m5) * masking * i * a2 * INV_PI / wp.max(sqr(spread), 1.0e-20)
+
+
+@wp.func
+def target(p: Receiver, s: LightSample, weights: wp.vec3) -> float:
+    """Return what samples are resampled by: about the luminance of the light that they send to the camera."""
+    if s.kind < 0:
+        return 0.0
+    cos_i = wp.dot(p.normal, s.wi)
+    shines = (s.visibility & VISIBLE_DIFFUSE) != 0
+    value = float(0.0)
+    if wp.dot(p.geometric_normal, s.wi) > 0.0:
+        if shines:
+            value = p.diffuse * INV_PI * wp.max(cos_i, 0.0)
+        if (s.visibility & VISIBLE_GLOSSY) != 0 and p.f0 + p.f90 > 0.0:
+            value = value + specular_estimate(p, s.wi, cos_i)
+    elif shines:
+        value = p.transmitted * INV_PI * wp.max(-cos_i, 0.0)
+    value = value * luminance(s.radiance, weights) / s.pdf
     # A comparison with NaN is false.
     if value > 0.0:
         return wp.min(value, LARGE)
@@ -204,64 +279,19 @@ def target(scene: Scene, p: LitSurface, terms: LightTerms) -> float:
 
 @wp.func
 def target_of(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, p: LitSurface, candidate: Candidate,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], p: Receiver, candidate: Candidate,
 ) -> float:
     """Return the target of a candidate at a surface."""
-    s = replay(scene, split, options.local_power, p.surface.position, candidate)
-    return target(scene, p, light_terms(p, s))
+    return target(p, replay(scene, split, emitters, p.position, candidate), scene.luminance)
 
 
 @wp.func
-def neighbour_of(options: DirectOptions, pixel: int, k: int) -> int:
-    """Return the pixel to the left, right, below or above (k = 0..3), -1 outside of the picture; k = 4: itself."""
-    x = pixel % options.width
-    y = pixel // options.width
-    if k == 0:
-        x = x - 1
-    if k == 1:
-        x = x + 1
-    if k == 2:
-        y = y - 1
-    if k == 3:
-        y = y + 1
-    if x < 0 or x >= options.width or y < 0 or y >= options.height:
-        return -1
-    return y * options.width + x
-
-
-@wp.func
-def lends_shadow(
-    view: View, options: DirectOptions, gbuffer: GBuffer, reservoirs: Reservoirs, surface: Surface, pixel: int, k: int,
-) -> bool:
-    """Return whether neighbour k has a sample on the same surface, so that its shadow ray counts here too."""
-    q = neighbour_of(options, pixel, k)
-    if q < 0:
-        return False
-    if not (reservoirs.weight[q][0] > 0.0):
-        return False
-    other = load_surface(view, gbuffer, options.width, q)
-    if not has_surface(other):
-        return False
-    tolerance = 2.0 * pixel_footprint(view.camera, surface.depth)
-    return (wp.dot(other.normal, surface.normal) > NEIGHBOUR_COSINE
-            and wp.dot(other.geometric_normal, surface.geometric_normal) > NEIGHBOUR_COSINE
-            and plane_distance(surface, other.position) < tolerance)
-
-
-@wp.func
-def traces_itself(
-    view: View, options: DirectOptions, gbuffer: GBuffer, reservoirs: Reservoirs, surface: Surface, pixel: int,
-) -> bool:
-    """Return whether a pixel has a shadow ray of its own: at rest all, in motion every other and those left alone."""
-    if options.half_rate == 0 or view.rest > 0:
-        return True
-    x = pixel % options.width
-    y = pixel // options.width
-    if ((x + y + view.frame) & 1) == 0:
-        return True
-    k = int(0)
-    while k < 4:
-        if lends_shadow(view, options, gbuffer, reservoirs, surface, pixel, k):
-            return False
-        k = k + 1
-    return True
+def scaled_terms(terms: LightTerms, factor: wp.vec3) -> LightTerms:
+    """Return light times a factor; black where that is not finite."""
+    out = LightTerms()
+    out.diffuse = wp.cw_mul(terms.diffuse, factor)
+    out.specular = wp.cw_mul(terms.specular, factor)
+    if not (is_finite3(out.diffuse) and is_finite3(out.specular)):
+        out.diffuse = wp.vec3(0.0, 0.0, 0.0)
+        out.specular = wp.vec3(0.0, 0.0, 0.0)
+    return out

@@ -1,92 +1,102 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Direct light from the chosen samples and what their shadow rays found.
 
-A pixel without a shadow ray of its own takes its neighbours' word for it: their samples are replayed for its own
-surface, and what share of that light got through weakens the pixel's own unshadowed sample. So normals, textures and
-reflections keep the full resolution, and the share lies in 0..1 however unlike the neighbours are.
+A pixel without a sample of its own takes that of a neighbour on the same surface: light, weight and shadow are the
+neighbour's, but it is replayed for the pixel's own surface, so that normals, textures and reflections keep the full
+resolution. Where no neighbour shows the same surface the pixel says that it has no sample (w = 0).
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .direct_light import DirectLight
+from .direct_light import PackedLight
 from .direct_reservoir import (
-    LARGE,
-    UNTRACED,
     DirectOptions,
-    LitSurface,
+    LightTerms,
     Reservoirs,
-    Shadows,
-    lends_shadow,
+    has_sample,
     light_terms,
     load_lit,
     load_reservoir,
-    neighbour_of,
-    target,
-    traces_itself,
+    pixel_of_slot,
+    scaled_terms,
+    slot_of_pixel,
 )
-from .environment_split import EnvironmentSplit, excess_radiance
-from .gbuffer import GBuffer, has_surface
-from .geometry_math import is_finite3, luminance
+from .environment_split import EnvironmentSplit
+from .gbuffer import GBuffer, Surface, has_surface, load_surface, plane_distance
+from .geometry_math import max_component
 from .light_candidate import replay
-from .lights import LightSample
-from .packing import from_half, rgb, rgba, to_half
-from .paths import PENDING_NONE, PENDING_WORLD, Paths
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb, rgba
+from .paths import Paths
+from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
-from .view import View
+from .view import View, pixel_footprint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+# Cosine between the normals of neighbours that may lend each other their samples.
+NEIGHBOUR_COSINE = wp.constant(0.9)
+
 
 @wp.func
-def visibility_of(options: DirectOptions, rays: Paths, shadows: Shadows, pixel: int) -> wp.vec3:
-    """Return the transmittance that a pixel's shadow ray found."""
+def factor_of(options: DirectOptions, rays: Paths, slot: int) -> wp.vec3:
+    """Return what became of a ray: its transmittance times what a program says over the sample's estimate."""
+    seen = rays.shadow_distance[slot] != 0.0
+    one = wp.where(seen, 1.0, 0.0)
+    factor = wp.vec3(one, one, one)
     if options.full == 1:
-        return rgb(from_half(shadows.visibility[pixel]))
-    reached = wp.where(rays.shadow_distance[pixel] != 0.0, 1.0, 0.0)
-    return wp.vec3(reached, reached, reached)
+        if seen:
+            factor = rays.shadow_light[slot]
+        factor = factor + rgb(rays.radiance[slot])
+    return factor
 
 
 @wp.func
-def true_radiance(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, rays: Paths, shadows: Shadows, s: LightSample,
-    pixel: int,
-) -> wp.vec3:
-    """Return a light's radiance over that for which its sample was taken: 1 but for programs."""
-    if options.full == 0:
-        return wp.vec3(1.0, 1.0, 1.0)
-    program = int(shadows.program[pixel]) & (UNTRACED - 1)
-    if program == PENDING_NONE:
-        return wp.vec3(1.0, 1.0, 1.0)
-    radiance = rgb(rays.radiance[pixel])
-    if program == PENDING_WORLD:
-        radiance = excess_radiance(radiance, split.threshold, scene.luminance)
-    return radiance / wp.max(luminance(s.radiance, scene.luminance), 1.0e-30)
+def is_same_surface(view: View, options: DirectOptions, gbuffer: GBuffer, surface: Surface, q: int) -> bool:
+    """Return whether a pixel shows the same surface, so that its shadow ray counts here too."""
+    other = load_surface(view, gbuffer, options.width, q)
+    if not has_surface(other):
+        return False
+    return (wp.dot(other.normal, surface.normal) > NEIGHBOUR_COSINE
+            and wp.dot(other.geometric_normal, surface.geometric_normal) > NEIGHBOUR_COSINE
+            and plane_distance(surface, other.position) < 2.0 * pixel_footprint(view.camera, surface.depth))
 
 
 @wp.func
-def borrowed_visibility(
-    view: View, scene: Scene, split: EnvironmentSplit, options: DirectOptions, gbuffer: GBuffer,
-    reservoirs: Reservoirs, rays: Paths, shadows: Shadows, p: LitSurface, pixel: int,
-) -> wp.vec3:
-    """Return the share of unshadowed light that the neighbours' rays found to arrive."""
-    lit = wp.vec3(0.0, 0.0, 0.0)
-    total = float(0.0)
+def choose_lender(view: View, options: DirectOptions, gbuffer: GBuffer, surface: Surface, pixel: int) -> int:
+    """Return one of the four neighbours that show the same surface, any as likely as its order after a random one."""
+    x = pixel % options.width
+    y = pixel // options.width
+    start = int(hash_combine(pixel_seed_of(x, y, view.camera.seed), wp.uint32(view.frame)) & wp.uint32(3))
     k = int(0)
     while k < 4:
-        if lends_shadow(view, options, gbuffer, reservoirs, p.surface, pixel, k):
-            q = neighbour_of(options, pixel, k)
-            r = load_reservoir(reservoirs, q)
-            s = replay(scene, split, options.local_power, p.surface.position, r.candidate)
-            weight = target(scene, p, light_terms(p, s)) * r.weight
-            # Where no neighbour's light reaches this surface they count alike.
-            weight = wp.max(weight, 1.0e-12)
-            if weight < LARGE:
-                lit = lit + visibility_of(options, rays, shadows, q) * weight
-                total = total + weight
+        # 0..3: left, above, right, below.
+        side = (start + k) & 3
+        dx = wp.where((side & 1) == 0, side - 1, 0)
+        dy = wp.where((side & 1) == 1, 2 - side, 0)
+        if x + dx >= 0 and x + dx < options.width and y + dy >= 0 and y + dy < options.height:
+            q = pixel + dy * options.width + dx
+            if is_same_surface(view, options, gbuffer, surface, q):
+                return q
         k = k + 1
-    return lit / wp.max(total, 1.0e-30)
+    return -1
+
+
+@wp.func
+def weaken(options: DirectOptions, rays: Paths, slot: int, pixel: int, light: PackedLight):
+    """Multiply a pixel's light by what its own ray found."""
+    factor = factor_of(options, rays, slot)
+    if factor[0] == 1.0 and factor[1] == 1.0 and factor[2] == 1.0:
+        return
+    terms = LightTerms()
+    if max_component(factor) > 0.0:
+        terms.diffuse = rgb(unpack_halves(light.diffuse[pixel]))
+        terms.specular = rgb(unpack_halves(light.specular[pixel]))
+        terms = scaled_terms(terms, factor)
+    light.diffuse[pixel] = pack_halves(rgba(terms.diffuse, 1.0))
+    light.specular[pixel] = pack_halves(rgba(terms.specular, 1.0))
 
 
 @wp.kernel
@@ -96,36 +106,36 @@ def shade_direct(
     views: wp.array[View],
     scene: Scene,
     split: EnvironmentSplit,
+    emitters: wp.array[wp.uint64],
     options: DirectOptions,
     gbuffer: GBuffer,
     reservoirs: Reservoirs,
+    lent: wp.array[float],
     rays: Paths,
-    shadows: Shadows,
     # Out:
-    light_out: DirectLight,
+    light_out: PackedLight,
 ):
-    """Write each pixel's direct light, without colours, exposed."""
-    pixel = first + wp.tid()
+    """Write each pixel's direct light, without colours, exposed; own samples' light is there but for its shadow."""
+    slot = first + wp.tid()
     view = views[0]
-    diffuse = wp.vec3(0.0, 0.0, 0.0)
-    specular = wp.vec3(0.0, 0.0, 0.0)
-    r = load_reservoir(reservoirs, pixel)
-    p = load_lit(view, gbuffer, options.width, pixel)
-    if r.weight > 0.0 and has_surface(p.surface):
-        s = replay(scene, split, options.local_power, p.surface.position, r.candidate)
-        terms = light_terms(p, s)
-        seen = wp.vec3(0.0, 0.0, 0.0)
-        if traces_itself(view, options, gbuffer, reservoirs, p.surface, pixel):
-            seen = visibility_of(options, rays, shadows, pixel)
+    pixel = pixel_of_slot(view, options, slot)
+    if pixel < 0:
+        return
+    if has_sample(view, options, slot):
+        weaken(options, rays, slot, pixel, light_out)
+        return
+    light = LightTerms()
+    sampled = float(1.0)
+    surface = load_surface(view, gbuffer, options.width, pixel)
+    if has_surface(surface):
+        q = choose_lender(view, options, gbuffer, surface, pixel)
+        if q < 0:
+            sampled = 0.0
         else:
-            seen = borrowed_visibility(
-                view, scene, split, options, gbuffer, reservoirs, rays, shadows, p, pixel)
-        share = wp.cw_mul(seen, true_radiance(scene, split, options, rays, shadows, s, pixel))
-        share = share * (r.weight * view.exposure)
-        diffuse = wp.cw_mul(terms.diffuse, share)
-        specular = wp.cw_mul(terms.specular, share)
-        if not (is_finite3(diffuse) and is_finite3(specular)):
-            diffuse = wp.vec3(0.0, 0.0, 0.0)
-            specular = wp.vec3(0.0, 0.0, 0.0)
-    light_out.diffuse[pixel] = to_half(rgba(diffuse, 1.0))
-    light_out.specular[pixel] = to_half(rgba(specular, 1.0))
+            factor = factor_of(options, rays, slot_of_pixel(view, options, q))
+            factor = factor * (lent[q] * view.exposure)
+            if max_component(factor) > 0.0:
+                s = replay(scene, split, emitters, surface.position, load_reservoir(reservoirs, q).candidate)
+                light = scaled_terms(light_terms(load_lit(view, gbuffer, surface, pixel), s), factor)
+    light_out.diffuse[pixel] = pack_halves(rgba(light.diffuse, sampled))
+    light_out.specular[pixel] = pack_halves(rgba(light.specular, sampled))

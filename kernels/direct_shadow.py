@@ -1,21 +1,128 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The thin kernels of each pixel's shadow ray: tracing opaque triangles, and what is left for programs of lights.
+"""Each pixel's shadow ray: aimed at the chosen light, with the light that arrives unless it is blocked, and traced.
 
-Where the scene has triangles that need a test, tracing.trace_shadow_layers and shadow_layers.py go on after the first;
-after the second shadow_lights.py runs the programs of lights. Knows no lights and no materials.
+Where the scene has triangles that need a test, tracing.trace_shadow_layers and shadow_layers.py go on; where emission
+is a program, shadow_lights.py runs it. Both leave their factor in the ray's radiance. Rays and kernels go by slots
+(direct_reservoir.pixel_of_slot).
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .direct_reservoir import UNTRACED, Shadows
-from .intersect import any_hit
-from .packing import rgba, to_half
-from .paths import PENDING_NONE, Paths
-from .types import Scene
+from .direct_emitters import is_constant
+from .direct_light import PackedLight
+from .direct_reservoir import (
+    DirectOptions,
+    LightTerms,
+    Reservoirs,
+    has_sample,
+    light_terms,
+    load_lit,
+    load_reservoir,
+    pixel_of_slot,
+    scaled_terms,
+)
+from .environment_split import EnvironmentSplit
+from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
+from .geometry_math import luminance
+from .intersect import any_hit, offset_origin, surface_point
+from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
+from .lights import FAR, LightSample
+from .packed_halves import pack_halves
+from .packing import rgba
+from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
+from .terminator import smooth_surface_offset
+from .types import Scene, ShadingPoint
+from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def start_ray(scene: Scene, point: ShadingPoint, s: LightSample, slot: int, rays: Paths):
+    """Set up a shadow ray, as the reference does (set_shadow_ray); none where the light is too near."""
+    start = point.position + smooth_surface_offset(scene.geometry, point, s.wi)
+    origin = offset_origin(start, point.geometric_normal, point.error, s.wi)
+    direction = s.wi
+    distance = s.distance
+    if distance < FAR:
+        # Aim at the sampled point again: the origin has moved.
+        to_light = offset_origin(point.position + s.wi * s.distance, s.normal, s.error, -s.wi) - origin
+        distance = wp.length(to_light)
+        direction = to_light / wp.max(distance, 1.0e-30)
+    if distance > 0.0:
+        rays.shadow_origin[slot] = origin
+        rays.shadow_direction[slot] = direction
+        rays.shadow_distance[slot] = wp.where(s.shadow == 0, -distance, distance)
+
+
+@wp.func
+def start_factor(scene: Scene, emitter: int, s: LightSample, slot: int, rays: Paths):
+    """Set up what layers and programs multiply: 1, or a textured emitter's over the estimate that it was drawn by.
+
+    Args:
+        scene: The scene.
+        emitter: Emissive triangle that was drawn, -1 for other lights.
+        s: The sample.
+        slot: Of the ray.
+        rays: Written.
+    """
+    light = float(1.0)
+    rays.shadow_pending[slot] = PENDING_NONE
+    if emitter >= 0:
+        face = scene.lights.triangles[emitter]
+        if not is_constant(scene, face[0], face[1]):
+            light = 1.0 / wp.max(luminance(s.radiance, scene.luminance), 1.0e-30)
+            rays.shadow_pending[slot] = PENDING_TRIANGLE
+            rays.shadow_emitter[slot] = face
+            rays.shadow_barycentrics[slot] = wp.vec2(s.u, s.v)
+    rays.shadow_light[slot] = wp.vec3(light, light, light)
+
+
+@wp.kernel
+def aim_shadow_rays(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    split: EnvironmentSplit,
+    emitters: wp.array[wp.uint64],
+    options: DirectOptions,
+    gbuffer: GBuffer,
+    reservoirs: Reservoirs,
+    # Out:
+    rays_out: Paths,
+    light_out: PackedLight,
+):
+    """Set up the shadow ray of each pixel that has a sample, and write its light as if nothing were in the way."""
+    slot = first + wp.tid()
+    view = views[0]
+    rays_out.shadow_distance[slot] = 0.0
+    pixel = pixel_of_slot(view, options, slot)
+    if pixel < 0 or not has_sample(view, options, slot):
+        return
+    if options.full == 1:
+        rays_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    light = LightTerms()
+    r = load_reservoir(reservoirs, pixel)
+    surface = load_surface(view, gbuffer, options.width, pixel)
+    if r.weight > 0.0 and has_surface(surface):
+        p = load_lit(view, gbuffer, surface, pixel)
+        hit = make_hit(surface.depth, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel))
+        point = surface_point(scene, hit, -p.wo)
+        s = replay(scene, split, emitters, point.position, r.candidate)
+        if s.kind >= 0:
+            scale = r.weight * view.exposure
+            light = scaled_terms(light_terms(p, s), wp.vec3(scale, scale, scale))
+            start_ray(scene, point, s, slot, rays_out)
+            if options.full == 1:
+                emitter = int(-1)
+                if candidate_kind(r.candidate) == CANDIDATE_EMITTER:
+                    emitter = candidate_index(r.candidate)
+                start_factor(scene, emitter, s, slot, rays_out)
+    light_out.diffuse[pixel] = pack_halves(rgba(light.diffuse, 1.0))
+    light_out.specular[pixel] = pack_halves(rgba(light.specular, 1.0))
 
 
 @wp.kernel
@@ -27,36 +134,8 @@ def trace_direct_shadows(
     rays_out: Paths,
 ):
     """Set the distance of blocked shadow rays to 0; below 0 it says that the light casts no shadow."""
-    pixel = first + wp.tid()
-    distance = rays_out.shadow_distance[pixel]
+    slot = first + wp.tid()
+    distance = rays_out.shadow_distance[slot]
     if distance > 0.0:
-        if any_hit(scene.geometry, rays_out.shadow_origin[pixel], rays_out.shadow_direction[pixel], distance):
-            rays_out.shadow_distance[pixel] = 0.0
-
-
-@wp.kernel
-def finish_shadows(
-    # In:
-    first: int,
-    # Out:
-    rays_out: Paths,
-    shadows_out: Shadows,
-):
-    """Store what the shadow rays found, and leave those rays waiting whose light is a program.
-
-    Pixels without a shadow ray need their light's radiance too.
-    """
-    pixel = first + wp.tid()
-    distance = rays_out.shadow_distance[pixel]
-    seen = wp.vec3(0.0, 0.0, 0.0)
-    if distance != 0.0:
-        seen = rays_out.shadow_light[pixel]
-    shadows_out.visibility[pixel] = to_half(rgba(seen, 1.0))
-    program = int(shadows_out.program[pixel])
-    pending = program & (UNTRACED - 1)
-    rays_out.radiance[pixel] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    rays_out.shadow_light[pixel] = wp.vec3(1.0, 1.0, 1.0)
-    rays_out.shadow_pending[pixel] = pending
-    if (program & UNTRACED) != 0 and pending != PENDING_NONE:
-        # No ray: any distance will do.
-        rays_out.shadow_distance[pixel] = -1.0
+        if any_hit(scene.geometry, rays_out.shadow_origin[slot], rays_out.shadow_direction[slot], distance):
+            rays_out.shadow_distance[slot] = 0.0

@@ -28,6 +28,12 @@ class EnvironmentSplit:
     """Of the excess in all the world's light; 0: there is none"""
     table: Environment
     """Its weights are the chances of texels for the excess"""
+    points: int
+    """Cells a side into which `box` divides a texel"""
+    excess: wp.array[wp.vec3]
+    """Mean radiance of the excess inside each texel's box, so that no program runs for it; its detail is lost"""
+    box: wp.array[wp.uint32]
+    """Part of each texel that holds excess, in cells: first column | columns << 8 | first row << 16 | rows << 24"""
 
 
 @wp.func

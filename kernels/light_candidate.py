@@ -11,19 +11,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from .direct_emitters import EMITTER_WORDS, sample_baked
 from .environment_split import EnvironmentSplit
 from .environment_table import equirect_direction
 from .geometry_math import PI, TWO_PI, safe_sqrt
 from .light_tree import choose_by_tree
-from .lights import FAR, LightSample, sample_emitter, sample_lamp
-from .types import (
-    LIGHT_ENVIRONMENT,
-    LIGHT_TRIANGLE,
-    MATERIAL_CONSTANT_EMISSION,
-    Environment,
-    Lights,
-    Scene,
-)
+from .lights import FAR, LightSample, sample_lamp
+from .types import LIGHT_ENVIRONMENT, Environment, Lights, Scene
 
 # Candidate.light: the kind in its two highest bits, an index below.
 CANDIDATE_NONE = wp.constant(0)
@@ -34,6 +28,9 @@ CANDIDATE_WORLD = wp.constant(3)
 
 INDEX_BITS = wp.constant(wp.uint32((1 << 30) - 1))
 
+# The largest float that numbers rescaled to [0, 1) may reach.
+BELOW_ONE = wp.constant(0.9999999)
+
 
 @wp.struct
 class Candidate:
@@ -43,6 +40,17 @@ class Candidate:
     """CANDIDATE_* << 30 | index"""
     u: wp.uint32
     """16 bits each of two numbers in (0, 1)"""
+
+
+@wp.struct
+class LightClasses:
+    """What there is to choose from: 1 or 0 for local lights, suns and the world's excess."""
+
+    local: float
+    sun: float
+    world: float
+    sun_share: float
+    """Sum of the suns' chances in the scene's light table"""
 
 
 @wp.struct
@@ -141,93 +149,89 @@ def choose_texel(table: Environment, place: wp.vec2, u: wp.vec2) -> Choice:
 
 
 @wp.func
+def light_classes(lights: Lights, split: EnvironmentSplit) -> LightClasses:
+    """Return what can be chosen; the same for every candidate of a pixel."""
+    classes = LightClasses()
+    classes.sun_share = sun_share(lights)
+    classes.local = 0.0
+    if lights.class_count > 0:
+        classes.local = wp.where(lights.weight[0] > 0.0, 1.0, 0.0)
+    classes.sun = wp.where(classes.sun_share > 0.0, 1.0, 0.0)
+    classes.world = wp.where(split.share > 0.0, 1.0, 0.0)
+    return classes
+
+
+@wp.func
 def choose(
-    scene: Scene, split: EnvironmentSplit, position: wp.vec3, pick: wp.vec2, place: wp.vec2, u: wp.vec2,
+    scene: Scene, split: EnvironmentSplit, classes: LightClasses, position: wp.vec3, which: wp.vec2, u: wp.vec2,
 ) -> Choice:
     """Draw a candidate for a receiver: equal chances for local lights, suns and the world's excess, as far as any.
 
     Args:
         scene: The scene.
         split: How the world is split.
+        classes: From light_classes.
         position: Of the receiver.
-        pick: x: the class, y: which sun.
-        place: Which local light or texel.
+        which: x: the class, and what is left of it the light; y: more of the same for trees and tables.
         u: Where on the light.
     """
-    lights = scene.lights
-    suns = sun_share(lights)
-    local_class = float(0.0)
-    if lights.class_count > 0:
-        local_class = wp.where(lights.weight[0] > 0.0, 1.0, 0.0)
-    sun_class = wp.where(suns > 0.0, 1.0, 0.0)
-    world_class = wp.where(split.share > 0.0, 1.0, 0.0)
-    total = local_class + sun_class + world_class
     choice = Choice()
     choice.chance = 0.0
+    total = classes.local + classes.sun + classes.world
     if total == 0.0:
         return choice
-    drawn = pick[0] * total
-    if drawn < local_class:
-        choice = choose_local(lights, position, place, u)
-    elif drawn < local_class + sun_class:
-        choice = choose_sun(lights, suns, u, pick[1])
+    drawn = which[0] * total
+    if drawn < classes.local:
+        choice = choose_local(scene.lights, position, wp.vec2(wp.min(drawn, BELOW_ONE), which[1]), u)
+    elif drawn < classes.local + classes.sun:
+        choice = choose_sun(scene.lights, classes.sun_share, u, wp.min(drawn - classes.local, BELOW_ONE))
     else:
-        choice = choose_texel(split.table, place, u)
+        drawn = wp.min(drawn - classes.local - classes.sun, BELOW_ONE)
+        choice = choose_texel(split.table, wp.vec2(drawn, which[1]), u)
     choice.chance = choice.chance / total
     return choice
 
 
 @wp.func
-def emitter_radiance(scene: Scene, emitter: int, s: LightSample, position: wp.vec3, local_power: float) -> wp.vec3:
-    """Return an emissive triangle's radiance: exact where constant, else its mean from its share of the power."""
-    material = scene.materials.instance_materials[
-        scene.geometry.instances[s.instance].material_offset
-        + wp.min(scene.geometry.slots[s.triangle], scene.geometry.instances[s.instance].material_count - 1)]
-    if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
-        return scene.materials.materials[material].emission
-    tree = scene.lights.tree
-    share = tree.high[(1 << tree.levels) + tree.places[scene.lights.local_lamp_count + emitter]][3]
-    # pdf = d^2 / (cos A), so this is power / (2 pi A), for both sides.
-    cosine = wp.abs(wp.dot(s.normal, s.wi))
-    mean = share * local_power * s.pdf * cosine / (s.distance * s.distance * TWO_PI)
-    # Where the few points of the power's estimate met darkness there may be light all the same.
-    mean = wp.max(mean, 1.0e-6 * local_power)
-    return wp.vec3(mean, mean, mean)
-
-
-@wp.func
 def replay_texel(split: EnvironmentSplit, visibility: int, texel: int, u: wp.vec2) -> LightSample:
-    """Return the sample of the world's excess at a place in a texel."""
+    """Return the sample of the world's excess at a place in the part of a texel that holds it."""
     width = split.table.width
     height = split.table.height
     s = LightSample()
     s.kind = LIGHT_ENVIRONMENT
-    x = (float(texel % width) + u[0]) / float(width)
-    y = (float(texel // width) + u[1]) / float(height)
+    box = split.box[texel]
+    scale = 1.0 / float(split.points)
+    left = float(box & wp.uint32(255)) * scale
+    across = float((box >> wp.uint32(8)) & wp.uint32(255)) * scale
+    top = float((box >> wp.uint32(16)) & wp.uint32(255)) * scale
+    down = float(box >> wp.uint32(24)) * scale
+    x = (float(texel % width) + left + u[0] * across) / float(width)
+    y = (float(texel // width) + top + u[1] * down) / float(height)
     s.wi = equirect_direction(x, y)
     s.normal = -s.wi
     s.distance = FAR
     s.shadow = 1
-    s.delta = 0
     s.visibility = visibility
     sin_theta = wp.max(safe_sqrt(1.0 - s.wi[2] * s.wi[2]), 1.0e-6)
-    s.pdf = float(width * height) / (TWO_PI * PI * sin_theta)
-    estimate = split.power * split.table.weight[texel] * s.pdf
-    s.radiance = wp.vec3(estimate, estimate, estimate)
+    s.pdf = float(width * height) / (TWO_PI * PI * sin_theta * wp.max(across * down, 1.0e-6))
+    s.radiance = split.excess[texel]
     return s
 
 
 @wp.func
-def replay(scene: Scene, split: EnvironmentSplit, local_power: float, position: wp.vec3, c: Candidate) -> LightSample:
+def replay(
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], position: wp.vec3, c: Candidate,
+) -> LightSample:
     """Return what a candidate is for a receiver; kind -1 where it is nothing.
 
     `pdf` [1/sr] is that of the place alone, without the choice of the light. `radiance` is exact for lamps and
-    constant emission; else an estimate (luminance), which shading divides out again.
+    constant emission, that of the world a mean over a part of a texel; of textured emission it is an estimate, which
+    the ray's factor divides out again.
 
     Args:
         scene: The scene.
         split: How the world is split.
-        local_power: Power of all local lights together, of which the light tree holds shares.
+        emitters: From bake_emitters.
         position: Of the receiver.
         c: The candidate.
     """
@@ -239,10 +243,8 @@ def replay(scene: Scene, split: EnvironmentSplit, local_power: float, position: 
     # Indices are checked: a candidate may stem from before an edit.
     if kind == CANDIDATE_LAMP and index < scene.lights.lamp_count:
         s = sample_lamp(scene.lights.lamps[index], position, u)
-    if kind == CANDIDATE_EMITTER and index < scene.lights.triangles.shape[0]:
-        s = sample_emitter(scene, index, position, u)
-        if s.kind == LIGHT_TRIANGLE:
-            s.radiance = emitter_radiance(scene, index, s, position, local_power)
+    if kind == CANDIDATE_EMITTER and index * EMITTER_WORDS < emitters.shape[0]:
+        s = sample_baked(emitters, index, position, u)
     if kind == CANDIDATE_WORLD and index < split.table.width * split.table.height:
         s = replay_texel(split, scene.environment.visibility, index, u)
     if not (s.pdf > 0.0):

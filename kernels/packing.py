@@ -102,3 +102,16 @@ def rgb(v: wp.vec4) -> wp.vec3:
 def rgba(c: wp.vec3, a: float) -> wp.vec4:
     """Put a colour and a fourth number together."""
     return wp.vec4(c[0], c[1], c[2], a)
+
+
+@wp.func
+def pack_floats(a: float, b: float) -> wp.uint64:
+    """Put the bits of two floats into a word, which loads at once (Warp loads a vector in parts)."""
+    return wp.uint64(wp.cast(a, wp.uint32)) | (wp.uint64(wp.cast(b, wp.uint32)) << wp.uint64(32))
+
+
+@wp.func
+def unpack_floats(packed: wp.uint64) -> wp.vec2:
+    """Return the floats of pack_floats."""
+    return wp.vec2(
+        wp.cast(wp.uint32(packed & wp.uint64(0xFFFFFFFF)), float), wp.cast(wp.uint32(packed >> wp.uint64(32)), float))

@@ -35,7 +35,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 # jumps at the tiles' borders.
 REACH = wp.constant(8.5)
 WIDE_REACH = wp.constant(20.0)
-WIDEST = wp.constant(6)
+WIDEST = wp.constant(3)
 """Tiles to each side in which a pixel without any fitting probe looks for one"""
 
 # Least share of a white sky that the interpolated harmonics are taken to hold: bounds the normalisation.

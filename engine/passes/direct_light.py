@@ -10,14 +10,16 @@ import warp as wp
 from ...kernels import (
     direct_candidates,
     direct_debug,
+    direct_emitters,
     direct_shade,
     direct_shadow,
     shadow_layers,
     shadow_lights,
     tracing,
 )
-from ...kernels.direct_light import DirectLight
-from ...kernels.direct_reservoir import DirectOptions, Reservoirs, Shadows
+from ...kernels.direct_emitters import EMITTER_WORDS
+from ...kernels.direct_light import DirectLight, PackedLight
+from ...kernels.direct_reservoir import DirectOptions, Reservoirs
 from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reprojection import Reprojection
@@ -46,10 +48,19 @@ def has_lights(scene: Scene, split: EnvironmentSplit) -> bool:
     return scene.lights.class_count > 0 and bool(scene.lights.weight.numpy()[0] > 0.0)
 
 
+def light_count(scene: Scene, split: EnvironmentSplit, local_power: float) -> int:
+    """Return how many lights there are to choose from; the world's excess counts as two: it has an extent."""
+    lights = scene.lights
+    local = lights.tree.places.shape[0] if local_power > 0.0 else 0
+    return local + lights.lamp_count - lights.local_lamp_count + (2 if split.share > 0.0 else 0)
+
+
 class DirectLightPass:
     """Reservoir sampling of lights, shadow rays and shading (Bitterli et al. 2020).
 
-    76 bytes a pixel: two reservoirs of 16, a ray of 28, light of 16. Layers or programs take 61 more, both 93.
+    80 bytes a pixel: two reservoirs of 16, a ray of 28, a weight of 4, light of 16. Layers or programs take 48 more,
+    layers 24 besides, programs 8. Kernels run over slots: the pixels of one colour of a checkerboard after those of
+    the other (direct_reservoir.pixel_of_slot).
     """
 
     name = "direct light"
@@ -64,10 +75,16 @@ class DirectLightPass:
         """Allocate for a picture [px]."""
         self.width, self.height = width, height
         count = width * height
+        self.slots = 2 * ((width + 1) // 2) * height
         self.reservoirs = History("direct.reservoirs", self._make_reservoirs)
+        self.lent = wp.zeros(count, dtype=float, device=self.device)
         self.light = DirectLight()
         self.light.diffuse = wp.zeros(count, dtype=wp.vec4h, device=self.device)
         self.light.specular = wp.zeros(count, dtype=wp.vec4h, device=self.device)
+        self._packed = PackedLight()
+        self._packed.diffuse = self.light.diffuse.view(wp.uint64)
+        self._packed.specular = self.light.specular.view(wp.uint64)
+        self._emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
         self._rays_for: tuple[bool, bool] | None = None
         self._make_rays(filtered=False, programs=False)
 
@@ -82,13 +99,8 @@ class DirectLightPass:
         if self._rays_for == (filtered, programs):
             return
         self._rays_for = (filtered, programs)
-        count = self.width * self.height
-        self.rays = make_shadow_rays(count, self.device, layers=filtered, programs=programs)
-        extra = count if filtered or programs else 1
-        self.shadows = Shadows()
-        self.shadows.visibility = wp.zeros(extra, dtype=wp.vec4h, device=self.device)
-        self.shadows.program = wp.zeros(extra, dtype=wp.uint8, device=self.device)
-        self.queue = make_queue(extra, self.device)
+        self.rays = make_shadow_rays(self.slots, self.device, layers=filtered, programs=programs)
+        self.queue = make_queue(self.slots if filtered or programs else 1, self.device)
 
     def reset(self) -> None:
         """Forget all history."""
@@ -114,7 +126,6 @@ class DirectLightPass:
             textured: Whether the emission of any sampled triangle is a program (EmitterTable.textured).
             local_power: Power of all lamps with a place and all emissive triangles [W], as the light tree was given.
         """
-        count = self.width * self.height
         self._views = views
         with graph.section("Direct light"):
             if not has_lights(scene, split):
@@ -126,45 +137,62 @@ class DirectLightPass:
                 for array in arrays_of(self.reservoirs.current(parity)):
                     graph.clear(array)
                 return self.light
-            programs = textured or split.share > 0.0
-            self._make_rays(filtered=filtered, programs=programs)
-            options = self._options(local_power)
-            now, before = self.reservoirs.current(parity), self.reservoirs.previous(parity)
-            graph.launch(
-                direct_candidates.resample_lights, count,
-                [views, scene, split, options, gbuffer, previous_gbuffer, reprojection, before], [now])
-            graph.launch(
-                direct_candidates.aim_shadow_rays, count, [views, scene, split, options, gbuffer, now],
-                [self.rays, self.shadows])
+            self._make_rays(filtered=filtered, programs=textured)
+            options = self._options(light_count(scene, split, local_power))
+            self._record_samples(
+                graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options, local_power)
         with graph.section("Direct shadows"):
-            graph.launch(direct_shadow.trace_direct_shadows, count, [scene], [self.rays])
+            graph.launch(direct_shadow.trace_direct_shadows, self.slots, [scene], [self.rays])
             shadows = [scene, make_options(filtered=filtered), 0]
             if filtered:
                 launch_queued(graph, tracing.trace_shadow_layers, shadows, self.queue, self.rays)
                 launch_queued(graph, shadow_layers.weaken_shadow_rays, shadows, self.queue, self.rays)
-            if filtered or programs:
-                graph.launch(direct_shadow.finish_shadows, count, [], [self.rays, self.shadows])
-            if programs:
+            if textured:
                 launch_queued(graph, shadow_lights.shade_lights, shadows, self.queue, self.rays)
         with graph.section("Direct light"):
             graph.launch(
-                direct_shade.shade_direct, count,
-                [views, scene, split, options, gbuffer, now, self.rays, self.shadows], [self.light])
+                direct_shade.shade_direct, self.slots,
+                [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
+                 self.rays], [self._packed])
         return self.light
+
+    def _record_samples(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+        previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, options: DirectOptions,
+        local_power: float,
+    ) -> None:
+        """Add the launches that choose a light for each pixel and aim at it; arguments as of `record`."""
+        now, before = self.reservoirs.current(parity), self.reservoirs.previous(parity)
+        emitters = scene.lights.tree.places.shape[0] - scene.lights.local_lamp_count if local_power > 0.0 else 0
+        if self._emitters.shape[0] != max(emitters, 1) * int(EMITTER_WORDS):
+            self._emitters = wp.zeros(max(emitters, 1) * int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
+        if emitters > 0:
+            graph.launch(direct_emitters.bake_emitters, emitters, [scene, local_power], [self._emitters])
+        graph.launch(
+            direct_candidates.resample_lights, self.slots,
+            [views, scene, split, self._emitters, options, gbuffer], [now, self.lent])
+        if options.reuse > 0:
+            graph.launch(
+                direct_candidates.reuse_lights, self.slots,
+                [views, scene, split, self._emitters, options, gbuffer, previous_gbuffer, reprojection, before],
+                [now, self.lent])
+        graph.launch(
+            direct_shadow.aim_shadow_rays, self.slots,
+            [views, scene, split, self._emitters, options, gbuffer, now], [self.rays, self._packed])
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Add the launch that draws one of `debug_views` of the frame recorded last into `picture`, vec4 a pixel."""
         graph.launch(
             direct_debug.show_direct, self.width * self.height,
-            [self._views, self._options(0.0), int(DEBUG_CHANNELS[name]), self.reservoirs.current(parity), self.rays,
-             self.shadows, self.light], [picture])
+            [self._views, self._options(1), int(DEBUG_CHANNELS[name]), self.reservoirs.current(parity), self.rays,
+             self.light], [picture])
 
-    def _options(self, local_power: float) -> DirectOptions:
+    def _options(self, lights: int) -> DirectOptions:
+        """Return the settings: no more candidates than lights; frames before help only where those are too few."""
         options = DirectOptions()
         options.width, options.height = self.width, self.height
-        options.candidates = self.settings.candidates
-        options.reuse = self.settings.temporal_reuse
+        options.candidates = max(min(self.settings.candidates, lights), 1)
+        options.reuse = self.settings.temporal_reuse if lights > self.settings.candidates else 0
         options.half_rate = int(self.settings.half_rate)
         options.full = int(any(self._rays_for))
-        options.local_power = local_power
         return options

@@ -11,7 +11,6 @@ import warp as wp
 
 from ...kernels import composite_debug, rest_blend
 from ..device import launch
-from ..frame_graph import FrameGraph
 from .reference import FilmBuffers
 
 __all__ = ["RestBlend"]
@@ -63,6 +62,7 @@ class RestBlend:
             [self._picture, self.weight], self.device)
         return self._picture
 
-    def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
-        """Record drawing the weights of the last blend into `picture` (vec4 [h * w])."""
-        graph.launch(composite_debug.show_weight, self.width * self.height, [self.weight], [picture])
+    def show_weight(self) -> wp.array:
+        """Return the last blend's weights as a picture on the device: vec4 [h * w]."""
+        launch(composite_debug.show_weight, self.width * self.height, [0, self.weight], [self._picture], self.device)
+        return self._picture

@@ -132,7 +132,7 @@ class ScreenProbePass:
         # The weights are numbers, frozen in the record like all settings.
         grid.luminance = scene.luminance
         self.views = views
-        with graph.section("probe placement"):
+        with graph.section("Probe placement"):
             graph.launch(spawn.seed_tiles, self.tile_count, [grid, views, gbuffer], [tiles])
             graph.launch(spawn.claim_tiles, grid.slots, [grid, views, gbuffer], [pool, tiles], banded=False)
             graph.launch(spawn.claim_other_surfaces, grid.slots, [grid, views, pool], [tiles], banded=False)
@@ -145,7 +145,7 @@ class ScreenProbePass:
             graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
                          [updates])
         count = self.update_count * CELLS
-        with graph.section("probe rays"):
+        with graph.section("Probe rays"):
             graph.launch(probe_gather.gather_history, count, [grid, views, tiles, pool, self.cosines], [updates])
             graph.launch(probe_gather.count_history, self.update_count, [grid, views, tiles, pool], [updates])
             graph.launch(probe_place.commit_updates, self.update_count, [views, updates], [pool, tiles], banded=False)
@@ -162,14 +162,14 @@ class ScreenProbePass:
         `specular_ratio` is what reflections get of it.
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
-        with graph.section("probe blend"):
+        with graph.section("Probe blending"):
             graph.launch(probe_blend.detect_changes, self.update_count, [grid, self.rays], [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
             graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
             graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, pool], [updates])
             graph.launch(probe_light.project_bands, self.update_count * BANDS,
                          [grid, updates, self.rays, self.weights], [pool])
-        with graph.section("probe interpolation"):
+        with graph.section("Probe interpolation"):
             images = [self.irradiance, self.specular_ratio]
             graph.launch(probe_records.record_probes, 2 * self.tile_count, [grid, views, tiles, pool], [self.records])
             graph.launch(probe_interpolate.interpolate_probes, self.tile_count * TILE * TILE,
@@ -177,7 +177,7 @@ class ScreenProbePass:
             graph.launch(probe_interpolate.fill_gaps, self.width * self.height,
                          [grid, views, gbuffer, self.records, tiles, pool, self.moments], images)
         if self.settings.contact_detail:
-            with graph.section("contact detail"):
+            with graph.section("Contact detail"):
                 graph.launch(probe_contact.add_contact, self.width * self.height,
                              [grid, views, gbuffer, tiles, pool, previous_color, reprojection],
                              [self.irradiance, self.contact])
@@ -190,7 +190,7 @@ class ScreenProbePass:
         count, views = self.width * self.height, self.views
         maps = {"probes.radiance": probe_debug.SHOW_RADIANCE, "probes.tiles": probe_debug.SHOW_TILES,
                 "probes.age": probe_debug.SHOW_AGE, "probes.count": probe_debug.SHOW_COUNT}
-        with graph.section("debug view"):
+        with graph.section("Debug view"):
             if name in maps:
                 graph.launch(probe_debug.show_probes, count, [int(maps[name]), self.grid, views, self.tiles, self.pool],
                              [picture])

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from burnish.engine.debug_views import DEBUG_VIEWS
+from burnish.engine.passes.rest import RestBlend
 from burnish.engine.pipeline import Pipeline
 from burnish.engine.scene import LightData, LightKind
 from burnish.engine.session import Session
@@ -23,7 +24,7 @@ def test_table_names_what_the_passes_draw(device: str) -> None:
     """Have the same names in the table and in the passes of a frame."""
     pipeline = Pipeline(device)
     pipeline.configure(SETTINGS, 8, 8, False)
-    drawn = [name for each in pipeline.passes for name in each.debug_views]
+    drawn = [name for each in (*pipeline.passes, RestBlend(device)) for name in each.debug_views]
     assert len(drawn) == len(set(drawn))
     assert set(drawn) == set(DEBUG_VIEWS), set(drawn) ^ set(DEBUG_VIEWS)
     assert all(DEBUG_VIEWS.values())
@@ -51,7 +52,7 @@ def show(session: Session, view: str, frames: int) -> np.ndarray:
     return session.read()
 
 
-@pytest.mark.parametrize("view", list(DEBUG_VIEWS))
+@pytest.mark.parametrize("view", [name for name in DEBUG_VIEWS if name not in RestBlend.debug_views])
 def test_every_view_shows_something_else(session: Session, view: str) -> None:
     """Draw each view as finite colours other than the picture's, and the picture again afterwards."""
     picture = show(session, "", 2)
@@ -81,6 +82,21 @@ def test_debug_view_at_rest_leaves_the_picture(device: str) -> None:
     assert normals[16, 16, 2] == pytest.approx(1.0, abs=0.02) and normals[16, 16, 0] == pytest.approx(0.5, abs=0.1)
     # Noise of other samples; a blend with the normals would differ by 0.2 and more.
     assert np.abs(again - before).mean() < 0.01
+
+
+def test_weight_of_path_tracing_is_drawn(device: str) -> None:
+    """Show how far the picture at rest is path traced: not at all at first, further with every sample."""
+    settings = dataclasses.replace(
+        SETTINGS, denoiser=DenoiserSettings(rest_frames=3), debug=DebugSettings(view="rest.weight"))
+    session = Session(settings)
+    session.update(scenes.delta({"ball": scenes.sphere(0.5, 16)}, [("ball", scenes.place(z=0.5), "grey")],
+                                {"grey": scenes.material(color=0.5)}, background=0.3))
+    session.configure(settings, scenes.camera_above(), 16, 16)
+    means = []
+    for samples in (4, 64, 512):
+        session.step(samples)
+        means.append(session.read()[..., :3].mean())
+    assert 0.0 <= means[0] < means[1] < means[2] <= 1.0
 
 
 def test_settings_of_the_host_keep_the_frames(device: str) -> None:

@@ -220,6 +220,33 @@ def test_rest_converges_faster_than_independent_samples():
     assert many < 0.5 * single / 16
 
 
+def test_pixels_alone_have_no_sample_in_motion():
+    """Say that there is no sample (w = 0) where every other pixel has none and no neighbour shows the same surface."""
+    # One tile for each pixel, each at another height than its neighbours.
+    tiles = [("tile", scenes.place(x=0.125 * (i - 3.5), y=0.125 * (j - 3.5), z=0.3 * ((3 * i + 5 * j) % 8)), "grey")
+             for i in range(8) for j in range(8)]
+    delta = scenes.delta({"tile": scenes.quad(0.0625)}, tiles, GREY, [scenes.lamp("SUN", 3.0)])
+    frames = Frames(delta, scenes.camera_above(height=4.0, half=0.5), temporal_reuse=0)
+    frames.frame()
+    w = frames.light.diffuse.numpy()[:, 3].reshape(8, 8)
+    x, y = np.meshgrid(np.arange(8), np.arange(8))
+    own = (x + y + frames.views.array.numpy()[0]["frame"]) % 2 == 0
+    np.testing.assert_array_equal(w, own)
+    frames.frame(moving=False)
+    assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
+
+
+def test_candidates_and_reuse_follow_the_number_of_lights():
+    """Draw no more candidates than there are lights, and look at frames before only where those are too few."""
+    for light, count, reuses in (("sun", 1, False), ("sun and point", 3, False), ("emitter", 2, False),
+                                 ("world", 2, False), ("many", 4, True)):
+        frames = Frames(lit(light), CAMERA, temporal_reuse=1)
+        for _ in range(3):
+            frames.frame(moving=False)
+        counts = frames.direct.reservoirs.current(frames.views.parity).weight.numpy()[:, 1]
+        assert (counts.min() > count) if reuses else (counts == count).all(), light
+
+
 def test_same_frames_twice_and_debug_views():
     """Give the same numbers in a second run, and a finite picture for every debug view."""
     delta = lit("sun and point")

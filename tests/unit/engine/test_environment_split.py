@@ -105,3 +105,20 @@ def test_table_covers_all_the_excess():
     assert inside.sum() > 5 and (weight[inside] > 0).all()
     near = (along > 0.99).reshape(height, 8, width, 8).any((1, 3))
     assert not weight[~near].any()
+
+
+def test_a_sun_smaller_than_a_texel_keeps_its_size_and_color():
+    """Bake a disk of 1.6 degrees into texels of 2.8: its boxes span the sun alone and hold its colour and power."""
+    split, weights = split_of(sunny_world(cosine=0.9999, sun=1e5, resolution=128))
+    texels = np.flatnonzero(split.table.weight.numpy())
+    box = split.box.numpy()[texels].astype(np.int64)
+    left, across, top, down = ((box >> shift & 255) / split.points for shift in (0, 8, 16, 24))
+    assert (left + across <= 1.0).all() and (top + down <= 1.0).all()
+    width, height = split.table.width, split.table.height
+    sin_theta = np.sin(np.pi * (texels // width + 0.5) / height)
+    part = 2.0 * np.pi**2 / (width * height) * sin_theta * across * down
+    light = (split.excess.numpy()[texels].astype(np.float64) * part[:, None]).sum(0)
+    np.testing.assert_allclose(light @ weights, split.power, rtol=1e-3)
+    np.testing.assert_allclose(light / light[0], [1.0, 0.8, 0.5], rtol=1e-4)
+    # A disk fills pi / 4 of the box around it, less where texels cut it.
+    assert 1.0 < part.sum() / (2.0 * np.pi * 1e-4) < 2.0

@@ -6,12 +6,14 @@ import pytest
 import warp as wp
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.environment_split import split_environment
+from burnish.kernels.direct_emitters import EMITTER_WORDS
 from burnish.kernels.environment_split import EnvironmentSplit
 from burnish.kernels.light_candidate import (
     candidate_index,
     candidate_kind,
     candidate_place,
     choose,
+    light_classes,
     make_candidate,
     replay,
 )
@@ -45,6 +47,7 @@ def draw(
     # In:
     scene: Scene,
     split: EnvironmentSplit,
+    emitters: wp.array[wp.uint64],
     position: wp.vec3,
     random: wp.array2d[float],
     # Out:
@@ -54,11 +57,11 @@ def draw(
     """Draw candidates: their light, its chance, 1 / (pdf chance), and radiance / (pdf chance) up to 90 degrees."""
     i = wp.tid()
     choice = choose(
-        scene, split, position, wp.vec2(random[i, 0], random[i, 1]), wp.vec2(random[i, 2], random[i, 3]),
-        wp.vec2(random[i, 4], random[i, 5]))
+        scene, split, light_classes(scene.lights, split), position, wp.vec2(random[i, 0], random[i, 1]),
+        wp.vec2(random[i, 2], random[i, 3]))
     lights_out[i] = choice.candidate.light
     if choice.chance > 0.0:
-        s = replay(scene, split, 1.0, position, choice.candidate)
+        s = replay(scene, split, emitters, position, choice.candidate)
         if s.kind >= 0:
             density = s.pdf * choice.chance
             values_out[i] = wp.vec3(choice.chance, 1.0 / density, s.radiance[1] * wp.max(s.wi[2], 0.0) / density)
@@ -69,10 +72,11 @@ def drawn(delta, device, position=(0.0, 0.0, 0.0)):
     scene = DeviceScene(device)
     scene.apply(delta, scenes.SETTINGS.performance)
     split = split_environment(scene.scene, device)
-    random = np.random.default_rng(2).random((COUNT, 6), np.float32)
+    random = np.random.default_rng(2).random((COUNT, 4), np.float32)
+    emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=device)
     lights = wp.zeros(COUNT, dtype=wp.uint32, device=device)
     values = wp.zeros(COUNT, dtype=wp.vec3, device=device)
-    wp.launch(draw, COUNT, [scene.scene, split, wp.vec3(*position), wp.array2d(random, device=device)],
+    wp.launch(draw, COUNT, [scene.scene, split, emitters, wp.vec3(*position), wp.array2d(random, device=device)],
               [lights, values], device=device)
     return lights.numpy(), values.numpy().astype(np.float64), split
 
@@ -107,7 +111,8 @@ def test_irradiance_of_candidates(device):
     """Integrate candidates to the irradiance of a sun, a sphere and a world's patch together."""
     lamps = [scenes.lamp("SUN", 3.0, scenes.place(z=1.0), angle=0.4),
              scenes.lamp("POINT", 100.0, scenes.place(z=2.0), radius=0.5, soft_falloff=False)]
-    lights, values, split = drawn(scenes.delta({}, [], {}, lamps, sunny_world()), device)
+    world = sunny_world(color=(1.0, 1.0, 1.0))
+    lights, values, split = drawn(scenes.delta({}, [], {}, lamps, world), device)
     sphere = 100.0 / (4 * np.pi**2 * 0.25) * np.pi * (0.5 / 2.0) ** 2
     cosine = 0.9 / np.linalg.norm([0.3, 0.2, 0.9])
     np.testing.assert_allclose(values[:, 2].mean(), 3.0 + sphere + split.power * cosine, rtol=0.02)
