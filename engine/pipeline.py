@@ -128,7 +128,8 @@ class Pipeline:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
         facts = (scene.structures.has_filtered, scene.has_light_programs, scene.emitters.textured, scene.local_power,
                  scene.radius, self.split.share, scene.material_table.lean)
-        return bytes(scene.scene._ctype) + bytes(motion._ctype) + repr(facts).encode()
+        structs = (scene.scene, motion, self.split)
+        return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
 
     def _record(
         self, parity: int, scene: DeviceScene, views: wp.array, motion: Motion,

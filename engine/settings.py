@@ -184,8 +184,8 @@ class ProbeSettings:
         True, "Send some of the rays into the reflection, so that the cache has cells where reflections look: slightly "
         "more noise in diffuse light")
     contact_detail: bool = setting(
-        True, "Find indirect light and shadow between probes from nearby pixels: detail in corners and contacts for a "
-        "search around every pixel")
+        False, "Find indirect light and shadow between probes from nearby pixels: slightly finer corners and contacts "
+        "for a search around every pixel, the dearest pass of all")
     energy_exact: bool = setting(
         True, "Weigh all directions by their solid angle, so that no light is lost or made. Off: the published "
         "estimator, for study; as fast")
@@ -199,8 +199,9 @@ class CacheSettings:
     """The hash-grid radiance cache: light at points that rays hit (GI-1.0, section 4)."""
 
     cell_pixels: float = setting(
-        32.0, "Size of a cell as seen on the screen: smaller cells show finer shadows in indirect light, with more "
-        "noise and more cells to keep", low=1.0, high=256.0, soft_high=64.0, unit="px")
+        32.0, "Size of a cell as seen on a screen of 1080 lines (by the root of the lines on others): smaller cells "
+        "show finer shadows in indirect light, with more noise and more cells to keep", low=1.0, high=256.0,
+        soft_high=64.0, unit="px")
     minimum_cell: float = setting(
         0.0, "Smallest cell (0: 1/500 of the scene's diagonal, at most 0.1 m): keeps views from near by from filling "
         "the cache", low=0.0, high=1e6, soft_high=1.0, unit="m")

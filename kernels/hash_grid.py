@@ -22,6 +22,11 @@ BUCKET = wp.constant(16)
 BASE_SIZE = wp.constant(9.765625e-4)
 """Size [m] of cells of level 0: a power of two"""
 LEVEL_LIMIT = wp.constant(60)
+
+# Lines of the screen that HashGrid.pixels counts in. A smaller picture shows the same light, whose detail asks for
+# cells of the same size, but has fewer rays, of which each cell must get enough: cells shrink with the root of the
+# lines.
+SCREEN_LINES = wp.constant(1080.0)
 NO_CELL = wp.constant(-1)
 EMPTY = wp.constant(wp.int64(0))
 
@@ -63,7 +68,7 @@ class HashGrid:
     bucket_mask: int
     """Number of buckets (a power of two) - 1"""
     pixels: float
-    """Size of a cell on the screen [px]"""
+    """Size of a cell on a screen of SCREEN_LINES lines [px]"""
     minimum: float
     """Smallest cell [m]"""
     level_blend: int
@@ -92,7 +97,9 @@ def normal_face(normal: wp.vec3) -> int:
 def wanted_size(grid: HashGrid, frame: FrameData, position: wp.vec3) -> float:
     """Return the size [m] that cells should have at a point: `pixels` on the screen, at least `minimum`."""
     distance = wp.length(position - eye_position(frame))
-    return wp.max(wp.max(grid.pixels * pixel_footprint(frame, distance), grid.minimum), 1.0e-15)
+    # Of the full frame, so that a cropped region has the same cells.
+    pixels = grid.pixels * wp.sqrt(float(frame.height) / SCREEN_LINES)
+    return wp.max(wp.max(pixels * pixel_footprint(frame, distance), grid.minimum), 1.0e-15)
 
 
 @wp.func

@@ -11,7 +11,7 @@ import warp as wp
 from .gbuffer import Surface, SurfaceMaterial
 from .geometry_math import INV_PI, orthonormal_tangent, sqr
 from .ggx import ggx_reflection
-from .normals import valid_specular_normal
+from .normals import bump_shadowing, valid_specular_normal
 
 # Least GGX alpha (a perceptual roughness of 0.022): below it a lobe is narrower than what float32 and one light
 # sample a pixel can meet.
@@ -71,7 +71,9 @@ def evaluate_brdf(m: SurfaceMaterial, s: Surface, wo: wp.vec3, wi: wp.vec3) -> S
     result.transmitted = wp.vec3(0.0, 0.0, 0.0)
     cosine = wp.dot(s.normal, wi)
     if wp.dot(s.geometric_normal, wi) > 0.0:
-        result.diffuse = m.diffuse * (wp.max(cosine, 0.0) * INV_PI)
+        # The G-buffer's geometric normal stands for the smooth one: where no bump is, both nearly agree.
+        shadow = bump_shadowing(s.normal, s.geometric_normal, wi, True, False)
+        result.diffuse = m.diffuse * (wp.max(cosine, 0.0) * INV_PI * shadow)
         result.specular = evaluate_specular(m, s, wo, wi)
     else:
         result.transmitted = m.translucent * (wp.max(-cosine, 0.0) * INV_PI)

@@ -25,7 +25,8 @@ class RestBlend:
     name = "rest"
 
     debug_views = {
-        "rest.weight": "Share of path-traced samples in the picture at rest: white is all path traced",
+        "rest.weight":
+            "Share of path-traced samples in the picture, once it has been at rest for long: white is all",
     }
 
     def __init__(self, device: str):

@@ -22,6 +22,9 @@ COUNT = W * H
 SKY = slice(0, 4 * W)
 """Rows at the bottom that show the world."""
 
+LEANING = slice(200, 260)
+"""Pixels whose shading normal leans away from their geometric one"""
+
 
 def pack(color: np.ndarray) -> np.ndarray:
     """Pack colours [n, 3] as packing.pack_color does."""
@@ -52,7 +55,11 @@ class Setup:
         gbuffer = GBuffer()
         gbuffer.depth = wp.array(self.depth, dtype=float, device=device)
         flags = np.where(self.half, np.uint32(SURFACE_TRANSLUCENT), np.uint32(0)).astype(np.uint32)
-        for name, values in (("diffuse", self.diffuse), ("specular", self.specular), ("f0", self.specular),
+        up = np.full(COUNT, 0x80008000, np.uint32)  # packing.pack_normal of +z
+        leaning = up.copy()
+        leaning[LEANING] = 0xBFFF8000  # y = 0.5, z = 0.5 before it is normalised: by 45 degrees
+        for name, values in (("geometric_normal", up), ("normal", leaning), ("diffuse", self.diffuse),
+                             ("specular", self.specular), ("f0", self.specular),
                              ("translucent", self.translucent), ("material", flags)):
             setattr(gbuffer, name, wp.array(values, dtype=wp.uint32, device=device))
         gbuffer.emission = wp.array(self.emission, dtype=wp.vec4h, device=device)
@@ -92,9 +99,17 @@ class Setup:
         return total
 
     @property
+    def indirect(self) -> np.ndarray:
+        """Return the indirect light [n, 3] that reaches the surfaces."""
+        irradiance = self.lights[2][:, :3].astype(float)
+        irradiance[LEANING] *= 0.11 + 0.89 * np.sqrt(0.5)
+        return irradiance
+
+    @property
     def expected(self) -> np.ndarray:
         """Return the right colours [n, 3]."""
-        diffuse, specular, irradiance = (light[:, :3].astype(float) for light in self.lights)
+        diffuse, specular = (light[:, :3].astype(float) for light in self.lights[:2])
+        irradiance = self.indirect
         mirrored = unpack(self.specular)
         mirrored[SKY] = 0.0
         reflected = irradiance * self.ratio[:, None].astype(float)
@@ -163,7 +178,7 @@ def test_light_passes_combine_to_the_diffuse_light(device):
         for array, light in zip(setup.arrays, setup.lights, strict=True):
             array.assign((light.astype(np.float32) * scale).astype(np.float16))
         setup.run(rest=rest)
-        total += setup.albedo * scale * (setup.lights[0] + setup.lights[2])[:, :3].astype(float) / 3
+        total += setup.albedo * scale * (setup.lights[0][:, :3].astype(float) + setup.indirect) / 3
     direct, indirect, color = (setup.composite.read_light_pass(name).numpy() for name in LIGHT_PASSES)
     np.testing.assert_allclose((direct + indirect) * color, total, rtol=2e-3, atol=1e-6)
     np.testing.assert_allclose(color, setup.albedo, rtol=1e-5, atol=1e-7)

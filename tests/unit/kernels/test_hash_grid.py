@@ -14,6 +14,7 @@ from burnish.engine.view_data import ViewTracker
 from burnish.kernels.cache_cells import CacheControl, purge_cells
 from burnish.kernels.hash_grid import (
     BUCKET,
+    SCREEN_LINES,
     HashGrid,
     cell_key,
     cell_level,
@@ -95,24 +96,28 @@ def find_points(
     lights_out[i] = read_light(grid, views[0], positions[i], normal, -normal, wp.uint32(i))
 
 
+LINES = 64
+
+
 def make_grid(device, capacity=1 << 12, pixels=8.0, **fields):
-    """Make an empty grid."""
+    """Make an empty grid with cells of so many pixels of the views here."""
     grid = HashGrid()
     for name, (dtype, entries) in CELL_ARRAYS.items():
         setattr(grid, name, wp.zeros(capacity * entries, dtype=dtype, device=device))
     grid.live = wp.zeros(1, dtype=int, device=device)
-    grid.bucket_mask, grid.pixels, grid.minimum = capacity // int(BUCKET) - 1, pixels, 1e-3
+    grid.bucket_mask, grid.minimum = capacity // int(BUCKET) - 1, 1e-3
+    grid.pixels = pixels * (float(SCREEN_LINES) / LINES) ** 0.5
     grid.level_blend, grid.scan_all, grid.directions = 1, 1, 0
     for name, value in fields.items():
         setattr(grid, name, value)
     return grid
 
 
-def make_views(device, frames=1, camera=None):
+def make_views(device, frames=1, camera=None, lines=LINES, crop=None):
     """Make a view after so many frames."""
     views = ViewTracker(device)
     camera = camera or scenes.camera_above(height=3.0, orthographic=False)
-    row = frame_row(camera, 64, 64, (0, 0, 64, 64), 0, np.zeros(3))
+    row = frame_row(camera, lines, lines, crop or (0, 0, lines, lines), 0, np.zeros(3))
     for _ in range(frames):
         views.advance(row, moved=False, lit=False, exposure=1.0, transparent=False, filter_quantiles=None)
     return views, row
@@ -209,6 +214,22 @@ def test_cell_sizes_follow_the_footprint(device):
         wanted = np.log2(8.0 * float(row["spread"][0]) * distance)
         assert abs(np.log2(sizes.numpy()).mean() - wanted) < 0.05
         assert len(np.unique(sizes.numpy())) <= 2
+
+
+@pytest.mark.parametrize("orthographic", (False, True))
+def test_cells_grow_less_than_the_pixels_do(device, orthographic):
+    """Give a picture of a quarter of the lines cells of twice the size, and a part of a picture those of the whole."""
+    camera = scenes.camera_above(height=3.0, orthographic=orthographic)
+    grid = make_grid(device, level_blend=0, minimum=1e-6)
+    points = np.array([[0.0, 0.0, 3.0 - distance] for distance in (0.07, 0.9, 5.0, 300.0)])
+    found = []
+    for lines, crop in ((270, None), (1080, None), (1080, (300, 20, 10, 30))):
+        views, _ = make_views(device, camera=camera, lines=lines, crop=crop)
+        sizes = wp.zeros(len(points), dtype=float, device=device)
+        wp.launch(write_levels, len(points), [views.array, grid, vectors(points, device)], [sizes], device=device)
+        found.append(sizes.numpy())
+    np.testing.assert_array_equal(found[0], 2.0 * found[1])
+    np.testing.assert_array_equal(found[1], found[2])
 
 
 def test_cell_size_of_orthographic_cameras(device):
