@@ -44,6 +44,10 @@ CHANGE_DEVIATIONS = wp.constant(2.5)
 CHANGING_DEVIATIONS = wp.constant(1.0)
 # Frames from which on the history takes nothing from the filter any more, so that its limit has no bias.
 FEEDBACK_FRAMES = wp.constant(5.0)
+# Frames at rest between which the blur fades: what noise is left by then is the average's to remove.
+BLUR_START = wp.constant(32.0)
+BLUR_END = wp.constant(96.0)
+
 # Frames at rest after which changes are no longer looked for: what looks like one is chance.
 REST_FRAMES = wp.constant(16.0)
 # Weight of each of four taps: it gives their blur the variance of (1, 2, 1) both ways.
@@ -203,6 +207,12 @@ def add_change(sums: ChangeSums, light: LightPair, moments: wp.vec4, weight: flo
 
 
 @wp.func
+def blur_strength(view: View) -> float:
+    """Return the share of the blur that is left at rest: none in the end, or soft shadows would stay a little softer."""
+    return wp.clamp((BLUR_END - float(view.rest)) / (BLUR_END - BLUR_START), 0.0, 1.0)
+
+
+@wp.func
 def change_score(sums: wp.vec4, scale: float, threshold: float) -> float:
     """Return 0..1: by how many standard errors more than the threshold short and long mean differ, halved.
 
@@ -257,6 +267,7 @@ def filter_direct_first(
         signed_length = float(history_out.length[pixel])
         length = wp.abs(signed_length)
         moving = 1.0 - float(view.rest) / REST_FRAMES
+        blur = blur_strength(view)
         plane = pixel_plane(view, gbuffer, width, pixel)
         normal = unit_normal(gbuffer.normal[pixel])
         x = pixel % width
@@ -275,7 +286,7 @@ def filter_direct_first(
                 if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                     w = float(0.0)
                 # (1, 2, 1) / 4 both ways
-                sums = add_pair(sums, light, tap, w * (0.125 if index % 2 == 1 else 0.0625))
+                sums = add_pair(sums, light, tap, w * blur * (0.125 if index % 2 == 1 else 0.0625))
                 if moving > 0.0:
                     change = add_change(change, tap, unpack_halves(history_out.moments[q]), w)
         if filtering == 1:
@@ -336,6 +347,7 @@ def filter_direct(
         centre = load_light(diffuse, specular, pixel)
         plane = pixel_plane(views[0], gbuffer, width, pixel)
         normal = unit_normal(gbuffer.normal[pixel])
+        blur = TAP_WEIGHT * blur_strength(views[0])
         x = pixel % width
         y = pixel // width
         sums = PairSums()
@@ -346,7 +358,7 @@ def filter_direct(
             i = along if index < 2 else -along
             j = across if index < 2 else -across
             q = near_pixel(x + i, y + j, width, height)
-            w = geometry_weight(gbuffer, plane, normal, q, i, j) * TAP_WEIGHT
+            w = geometry_weight(gbuffer, plane, normal, q, i, j) * blur
             tap = load_light(diffuse, specular, q)
             if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                 w = float(0.0)

@@ -40,21 +40,29 @@ OUTDATED_FRAMES = wp.constant(32)
 # Of the frames since light began to spread, the share that a probe's mean may reach back: the first lack bounces.
 SETTLING_SHARE = wp.constant(0.5)
 
+# Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where surfaces
+# are so cut up that probes are made anew in every frame, that error would never end. At rest none: time removes noise.
+FRESH_UPDATES = wp.constant(8.0)
+
 UNKNOWN = wp.constant(-1.0)
 
 
 @wp.func
 def aimed_radiance(pool: ProbePool, slot: int, position: wp.vec3, direction: wp.vec3) -> wp.vec4:
-    """Return exposed radiance and distance that arrive at `position` from `direction` as a probe saw it; w < 0: no."""
+    """Return exposed radiance and distance that arrive at `position` from `direction` as a probe saw it; w < 0: no.
+
+    Where the probe doesn't know what is seen from there, it tells what it sees in that direction itself: were such
+    cells left out, those that see the sky, which never are, would make new probes too bright.
+    """
     n = unpack_normal(pool.normal[slot])
     origin = pool.position[slot]
     aim = direction
-    found = wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
     if wp.dot(n, aim) <= 0.0:
-        return found
+        return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
     value = from_half(pool.radiance[slot * CELLS + cell_of(to_local(n, aim))])
     if value[3] >= FAR:
         return value
+    found = value
     far = value[3]
     step = int(0)
     while step < 2:
@@ -243,7 +251,7 @@ def count_history(
                     count = count + valid_count(view, pool, other)
                     found = found + 1.0
             i = i + 1
-        count = count / wp.max(found, 1.0)
+        count = wp.min(count / wp.max(found, 1.0), wp.max(FRESH_UPDATES - float(view.rest), 0.0))
     # Longer at rest, by the updates since.
     turns = float(grid.side * grid.side)
     limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)

@@ -21,11 +21,14 @@ from burnish.engine.scene import WorldData
 from burnish.engine.settings import CacheKey, CacheSettings, PerformanceSettings
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels.gbuffer import GBuffer
+from burnish.kernels.hash_grid import SCREEN_LINES
 from burnish.kernels.probe_rays import MISS_DISTANCE, ProbeRays
 
 from tests import scenes
 
 RAY_ARRAYS = {"origin": wp.vec3, "direction": wp.vec3, "t_max": float, "probe": int, "radiance": wp.vec4}
+
+LINES = 64
 
 
 class Rig:
@@ -33,6 +36,9 @@ class Rig:
 
     def __init__(self, delta, device, count=2048, camera=None, minimum=0.12, seed=0, **settings):
         settings.setdefault("capacity", 14)
+        # Asked for in pixels of this picture.
+        pixels = settings.pop("cell_pixels", 32.0)
+        settings["cell_pixels"] = pixels * (float(SCREEN_LINES) / LINES) ** 0.5
         self.scene = DeviceScene(device)
         self.scene.apply(delta, PerformanceSettings())
         self.settings = CacheSettings(**settings)
@@ -40,7 +46,7 @@ class Rig:
         self.cache.resize(8, 8)
         self.views = ViewTracker(device)
         camera = camera or scenes.camera_above(height=0.5, half=0.3, orthographic=False)
-        self.row = frame_row(camera, 64, 64, (0, 0, 64, 64), 0, self.scene.origin)
+        self.row = frame_row(camera, LINES, LINES, (0, 0, LINES, LINES), 0, self.scene.origin)
         self.rays, self.count, self.minimum = ProbeRays(), count, minimum
         for name, dtype in RAY_ARRAYS.items():
             setattr(self.rays, name, wp.zeros(count, dtype=dtype, device=device))
