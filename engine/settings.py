@@ -211,8 +211,8 @@ class CacheSettings:
     bounces: int = setting(
         0, "Bounces of light through the cache (0: all of them): as fast, darker interiors with fewer", low=0, high=64)
     bounce_share: float = setting(
-        0.3, "Share of the hits from which light is followed further each frame: costs rays; less makes changes of "
-        "light take more frames to spread", low=0.0, high=1.0)
+        0.3, "Share of the hits from which light is followed further each frame, once it has spread (before: all of "
+        "them): costs rays; less makes indirect light noisier", low=0.0, high=1.0)
     sample_cap: int = setting(
         64, "Most samples that a cell averages over while something moves (the paper: 16): more has less noise and "
         "follows changes of light more slowly, at no cost", low=1, high=65536)

@@ -19,7 +19,7 @@ from .paths import ENDED, PENDING_NONE, Paths, store_hit
 from .probe_rays import ProbeRays
 from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_cosine, sample_pair
 from .types import VISIBLE_DIFFUSE, Scene
-from .view import View
+from .view import View, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -134,6 +134,11 @@ def bounce_origin(grid: HashGrid, vertices: Vertices, bounce: int, bounces: int,
     return chosen
 
 
+# Frames since the start or an edit of light in which every hit may send a ray on: a bounce takes a frame, and the more
+# cells learn of it the sooner it has come everywhere.
+SPREADING_FRAMES = wp.constant(48.0)
+
+
 @wp.kernel
 def start_bounces(
     first: int,
@@ -142,24 +147,33 @@ def start_bounces(
     grid: HashGrid,
     count: int,
     bounces: int,
+    settled: int,
     filtered: int,
     # Out:
     paths_out: Paths,
     vertices_out: Vertices,
 ):
-    """Send a ray on from some of the hits, or from where the same slot's ray ended in the frame before."""
+    """Send a ray on from some of the hits, or from where the same slot's ray ended in the frame before.
+
+    While light spreads all `bounces` slots have one, later `settled` of them.
+    """
     bounce = first + wp.tid()
     slot = count + bounce
     view = views[0]
+    active = bounces
+    if settling_frames(view) >= SPREADING_FRAMES:
+        active = settled
     seed = slot_seed(slot)
     index = wp.uint32(view.frame)
     choice = hashed_unit(hash_combine(seed, STREAM_ORIGIN), index)
     origin = int(-1)
     if choice < KEPT_SHARE and view.restart == 0 and vertices_out.cell[slot] != NO_CELL:
         origin = slot
-    if origin < 0:
+    if origin < 0 and bounce < active:
         shift = hashed_unit(hash_combine(seed, STREAM_SHIFT), index)
-        origin = bounce_origin(grid, vertices_out, bounce, bounces, count, shift)
+        origin = bounce_origin(grid, vertices_out, bounce, active, count, shift)
+    if bounce >= active:
+        origin = -1
     paths_out.state[slot] = ENDED
     paths_out.t[slot] = 0.0
     vertices_out.source[bounce] = NO_CELL

@@ -208,7 +208,7 @@ def add_change(sums: ChangeSums, light: LightPair, moments: wp.vec4, weight: flo
 
 @wp.func
 def blur_strength(view: View) -> float:
-    """Return the share of the blur that is left at rest: none in the end, or soft shadows would stay a little softer."""
+    """Return the share of the blur that is left at rest: none in the end, or shadows would stay a little softer."""
     return wp.clamp((BLUR_END - float(view.rest)) / (BLUR_END - BLUR_START), 0.0, 1.0)
 
 

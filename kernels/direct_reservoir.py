@@ -159,6 +159,10 @@ def share_of(part: float, whole: float) -> float:
     return wp.where(whole > 0.0, part / wp.max(whole, 1.0e-30), 1.0)
 
 
+# Samples of a light seldom meet a sharper lobe, which would be sparks; path tracing shows it at rest.
+LEAST_ROUGHNESS = wp.constant(0.15)
+
+
 @wp.func
 def load_lit(view: View, gbuffer: GBuffer, surface: Surface, pixel: int) -> LitSurface:
     """Return a pixel of this frame without its diffuse colours."""
@@ -170,6 +174,7 @@ def load_lit(view: View, gbuffer: GBuffer, surface: Surface, pixel: int) -> LitS
     p.material.diffuse = wp.vec3(
         share_of(diffuse[0], albedo[0]), share_of(diffuse[1], albedo[1]), share_of(diffuse[2], albedo[2]))
     p.material.translucent = wp.vec3(1.0, 1.0, 1.0) - p.material.diffuse
+    p.material.roughness = wp.max(p.material.roughness, LEAST_ROUGHNESS)
     p.wo = direction_to_eye(view.camera, surface.position)
     return p
 

@@ -113,7 +113,7 @@ class RadianceCachePass:
         control.factors = self._zeros(2, wp.vec3)
         control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
         self.control = control
-        self.count = self.bounces = -1
+        self.count = self.bounces = self.settled = -1
         self._layers = False
         self._views: wp.array | None = None
         self._gbuffer: dict[int, GBuffer] = {}
@@ -148,7 +148,9 @@ class RadianceCachePass:
     def _fit(self, count: int, filtered: bool) -> None:
         """Allocate for so many probe rays."""
         share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
-        bounces = math.ceil(share * count)
+        self.settled = math.ceil(share * count)
+        # Room for as many as there are hits: light spreads faster with them after the start and edits.
+        bounces = count if share > 0.0 else 0
         if (count, bounces, filtered) == (self.count, self.bounces, self._layers):
             return
         self.count, self.bounces, self._layers = count, bounces, filtered
@@ -199,7 +201,8 @@ class RadianceCachePass:
         if self.bounces > 0:
             with graph.section("Cache bounces"):
                 graph.launch(
-                    cache_rays.start_bounces, self.bounces, [views, self.grid, count, self.bounces, int(filtered)],
+                    cache_rays.start_bounces, self.bounces,
+                    [views, self.grid, count, self.bounces, self.settled, int(filtered)],
                     [self.paths, self.vertices])
                 self._record_hits(graph, scene, count, self.bounces)
             self._record_materials(graph, scene, views, count, self.bounces, threshold)

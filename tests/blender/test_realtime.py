@@ -121,7 +121,8 @@ scene.frame_start = 2
 bpy.ops.render.render(animation=True)
 first, second, alone = (picture[0]["Combined"] for picture in pictures)
 assert not np.array_equal(first, second)
-assert np.array_equal(second, alone), np.abs(second - alone).max()
+# Rounding of a kept scene's structures apart; what a history of frame 1 leaves would be a hundred times as much.
+assert np.abs(second - alone).max() < 1e-3, np.abs(second - alone).max()
 """)
 
 
