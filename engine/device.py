@@ -187,7 +187,7 @@ def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: s
     wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))
 
 
-def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str) -> wp.Launch:
-    """Prepare a launch that is repeated; its `set_dim` comes before each `launch`."""
-    return wp.launch(kernel, 1, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
+def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str, count: int = 1) -> wp.Launch:
+    """Prepare a launch that is repeated; where `count` changes, `set_dim` comes before each `launch`."""
+    return wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
                      record_cmd=True)

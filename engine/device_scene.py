@@ -127,6 +127,7 @@ class DeviceScene:
         with self._timed("structures"):
             if rebuild:
                 self._drop_unused_meshes()
+                self._write_instances()
                 self.structures.build(self.plan, self.store, self.instances, settings.instancing_threshold)
             elif geometry_changed:
                 edited = np.flatnonzero(np.isin(self.plan.mesh_index, [
@@ -304,7 +305,6 @@ class DeviceScene:
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
         self.instance_materials = self._overwrite(
             self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
-        self._write_instances()
 
     def _overwrite(self, array: wp.array, values: np.ndarray, dtype: type) -> wp.array:
         """Put values on the device, into the same array if they fit: recorded frames go on using it."""

@@ -12,7 +12,7 @@ import warp as wp
 
 from ..kernels import types
 from ..kernels.environment_split import NO_THRESHOLD, EnvironmentSplit
-from ..kernels.lights import FAR
+from ..kernels.lamp_hit import FAR
 from ..kernels.paths import PENDING_WORLD
 from ..kernels.shadow_lights import shade_lights
 from .alias_table import build_alias_table

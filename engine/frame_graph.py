@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import warp as wp
 
-from .device import block_size, run_bands, thread_count
+from .device import record, run_bands, thread_count
 
 __all__ = ["FrameGraph"]
 
@@ -79,12 +79,19 @@ class FrameGraph:
     def launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True) -> None:
         """Record a launch of `count` threads; a banded kernel's first argument (`first`) is added here."""
         step = _Step(self._section, kernel=kernel.key, keep=(inputs, outputs))
-        block = block_size(kernel.module.name, self.device)
         for low, high in self._bands(count if banded else 0) or [(0, count)]:
-            launch = wp.launch(
-                kernel, high - low, [low, *inputs] if banded else inputs, outputs, device=self.device,
-                block_dim=block, record_cmd=True)
-            step.launches.append(launch)
+            step.launches.append(record(
+                kernel, [low, *inputs] if banded else inputs, outputs, self.device, high - low))
+        self._steps.append(step)
+
+    def launch_queued(self, kernel: wp.Kernel, inputs: list, queue: wp.array, outputs: list) -> None:
+        """Record a kernel of the path tracer over all of a queue, which is its last input.
+
+        Such kernels write only their own path, so a band takes a part of the queue.
+        """
+        step = _Step(self._section, kernel=kernel.key, keep=(inputs, queue, outputs))
+        for low, high in self._bands(len(queue)):
+            step.launches.append(record(kernel, [*inputs, queue[low:high]], outputs, self.device, high - low))
         self._steps.append(step)
 
     def _bands(self, count: int) -> list[tuple[int, int]]:

@@ -40,6 +40,7 @@ class Pipeline:
         """The same by kernel"""
         self.skipped: dict[str, str] = {}
         """Sections that the scene does not need, with the reason"""
+        self.passes: tuple = ()
         self._settings: RenderSettings | None = None
         self._graphs: dict[int, tuple[FrameGraph, wp.array]] = {}
         self._recorded_for = b""
@@ -49,7 +50,7 @@ class Pipeline:
 
     def configure(self, settings: RenderSettings, width: int, height: int, light_passes: bool) -> None:
         """Make the passes for settings and a size [px]."""
-        self._settings, self._light_passes = settings, light_passes
+        self._settings = settings
         device = self.device
         self.gbuffer = GBufferPass(device)
         self.cache = RadianceCachePass(device, settings.cache)
@@ -64,7 +65,6 @@ class Pipeline:
             each.resize(width, height)
         self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
         self.motion = MotionTracker(device)
-        self._forget_records()
         self.show(settings.debug.view)
 
     def show(self, name: str) -> None:
@@ -75,7 +75,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget all history."""
-        for each in getattr(self, "passes", ()):
+        for each in self.passes:
             each.reset()
 
     def _forget_records(self) -> None:

@@ -140,6 +140,6 @@ class Realtime:
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:
     """Tell whether frames with `new` settings look like those with `old` ones, apart from the debug view."""
-    groups = ("light_paths", "film", "probes", "cache", "direct_light", "denoiser")
+    groups = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
     return old is not None and new.sampling.seed == old.sampling.seed and all(
         getattr(new, name) == getattr(old, name) for name in groups)

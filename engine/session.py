@@ -20,17 +20,16 @@ from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
 from .errors import InvalidScene
 from .frame_data import frame_row
+from .passes.composite import LIGHT_PASSES
 from .passes.reference import FilmBuffers, ReferencePass
 from .pixel_filter import filter_table
+from .realtime import Realtime
 from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
 from .settings import Change, Integrator, RenderSettings, change_since
 from .warmup import warm_up
 
 __all__ = ["PASSES", "Session", "SessionStats"]
-
-LIGHT_PASSES = ("Diffuse Direct", "Diffuse Indirect", "Diffuse Color")
-"""Given by the real-time integrator only"""
 
 GEOMETRY_SAMPLES = 16
 """Samples a pixel of the passes that tell of the first surface, where the real-time integrator makes the picture"""
@@ -84,7 +83,7 @@ class Session:
         self._camera: CameraData | None = None
         self._sampling_report = Report()
         self._kept_options: tuple[tuple, Options] | None = None
-        self._realtime = None
+        self._realtime: Realtime | None = None
         self.timed = False
         """Measure every section of real-time frames (slower: each is waited for)"""
 
@@ -158,8 +157,6 @@ class Session:
                 self._pass.resize(key[0], extra)
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
-                from .realtime import Realtime
-
                 self._realtime = self._realtime or Realtime(self.device)
                 self._realtime.configure(settings, crop[2], crop[3], any(name in LIGHT_PASSES for name in passes))
                 if change & Change.RESTART:

@@ -25,6 +25,8 @@ __all__ = [
     "Integrator",
     "PixelFilter",
     "ProbeSettings",
+    "ReflectionResolution",
+    "ReflectionSettings",
     "RenderSettings",
     "SamplingSettings",
     "LightPathSettings",
@@ -61,6 +63,17 @@ class CacheKey(enum.StrEnum):
     """The face of a cube that the normal points through: one cell for each side of a surface."""
     DIRECTION = "direction"
     """The ray's direction, as published: walls in a corner share cells."""
+
+
+class ReflectionResolution(enum.StrEnum):
+    """How many pixels share one reflection ray a frame."""
+
+    FULL = "full"
+    """Each pixel has a ray in every frame."""
+    HALF = "half"
+    """Four pixels take turns."""
+    QUARTER = "quarter"
+    """Sixteen pixels take turns."""
 
 
 class PixelFilter(enum.StrEnum):
@@ -246,8 +259,37 @@ class DirectLightSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReflectionSettings:
+    """Glossy reflections and refraction: how each roughness is found (Eto et al. 2023, section 2)."""
+
+    roughness_traced: float = setting(
+        0.2, "Roughness up to which reflections are traced with rays; the paper's r_rt. Rougher ones are looked up in "
+        "the probes: higher is sharper and more exact, for more rays", low=0.0, high=1.0)
+    roughness_diffuse: float = setting(
+        0.6, "Roughness from which diffuse light stands in for reflections; the paper's r_diffuse. Lower saves time "
+        "on rough surfaces and blurs them more", low=0.0, high=1.0)
+    roughness_blend: float = setting(
+        0.1, "Range of roughness over which two methods blend: hides their border; costs rays", low=0.0, high=0.5)
+    resolution: ReflectionResolution = setting(
+        ReflectionResolution.HALF, "Pixels that share a ray in each frame, in turns: fewer are sharper in motion and "
+        "cost rays")
+    bounces: int = setting(
+        6, "Mirrors and panes of glass that a ray follows before the radiance cache answers: each shows mirrors in "
+        "mirrors one deeper, and costs time only where there are some", low=0, high=32, soft_high=16)
+    screen_reuse: bool = setting(
+        True, "Take what the picture before shows at a ray's hit, where it shows it: less noise and fewer shadow rays, "
+        "for a frame's delay")
+    hit_lighting: bool = setting(
+        True, "Light the hits of sharp reflections themselves and make cells there. Off: only look into the radiance "
+        "cache, as published: faster, blotched, black where the cache knows nothing")
+    jitter: bool = setting(
+        True, "Jitter look-ups in the cache and the last filter where roughness varies: hides the borders of cells and "
+        "blocks, for slightly more noise")
+
+
+@dataclass(frozen=True, kw_only=True)
 class DenoiserSettings:
-    """Filters of direct and diffuse light, and anti-aliasing."""
+    """Filters of direct, diffuse and reflected light, and anti-aliasing."""
 
     direct_iterations: int = setting(
         3, "Passes of the edge-stopping filter on direct light (0: none): each doubles its reach, for less noise, "
@@ -261,6 +303,26 @@ class DenoiserSettings:
     diffuse_radius: int = setting(
         8, "Largest blur of indirect light, where there is no history: less noise where surfaces come into view, for "
         "some time", low=0, high=32, unit="px")
+    reflection_iterations: int = setting(
+        4, "Passes of the filter that spreads and upscales reflections: each doubles its reach, for less noise, softer "
+        "reflections and some time", low=1, high=6)
+    reflection_kernel: float = setting(
+        1.0, "Scale of that filter's narrowest kernel (the paper's g_0): wider has less noise and blurs more",
+        low=0.25, high=4.0)
+    reflection_ratio: bool = setting(
+        True, "Weigh a neighbour's ray by how likely it was here over how likely it was there, in linear light. Off: "
+        "by the former alone, in compressed light, as published: darker, too narrow. As fast")
+    reflection_cleanup: bool = setting(
+        True, "Replace sparks and missing samples of reflections by their neighbours: removes flicker for little time, "
+        "and now and then a true sparkle")
+    reflection_temporal: bool = setting(
+        True, "Average reflections over frames, where the surface or the mirrored thing was. Off shows each frame's")
+    reflection_history: int = setting(
+        32, "Most frames averaged in reflections while something moves (the paper: 8): more has less noise and lags "
+        "more, at no cost", low=1, high=1024, unit="frames")
+    reflection_clamp: float = setting(
+        2.0, "Keep the average of reflections within so many standard deviations of this frame's neighbourhood (0: "
+        "off; the paper: 1): less keeps up with changes and flickers more", low=0.0, high=16.0)
     antialiasing: bool = setting(
         True, "Average jittered frames: smooth edges for little time. Off shows each frame alone")
     rest_frames: int = setting(
@@ -291,6 +353,7 @@ class RenderSettings:
     probes: ProbeSettings = field(default_factory=ProbeSettings)
     cache: CacheSettings = field(default_factory=CacheSettings)
     direct_light: DirectLightSettings = field(default_factory=DirectLightSettings)
+    reflections: ReflectionSettings = field(default_factory=ReflectionSettings)
     denoiser: DenoiserSettings = field(default_factory=DenoiserSettings)
     debug: DebugSettings = field(default_factory=DebugSettings)
 
@@ -304,7 +367,7 @@ def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
         change |= Change.RESTART
     if new.light_paths != old.light_paths or new.film != old.film:
         change |= Change.RESTART
-    realtime = ("probes", "cache", "direct_light", "denoiser")
+    realtime = ("probes", "cache", "direct_light", "reflections", "denoiser")
     if any(getattr(new, name) != getattr(old, name) for name in realtime):
         change |= Change.RESTART
     textures = ("texture_budget", "texture_size_limit")

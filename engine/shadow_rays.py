@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shadow rays outside of the path tracer: their states, and its kernels launched from a recorded frame."""
+"""Shadow rays outside of the path tracer: their states, queue and options."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import warp as wp
 
 from ..kernels.paths import Options, Paths
 from ..kernels.shading_types import Closure
-from .device import block_size, run_bands, thread_count
-from .frame_graph import BANDS_PER_THREAD, FrameGraph
 
-__all__ = ["launch_queued", "make_options", "make_queue", "make_shadow_rays"]
+__all__ = ["make_options", "make_queue", "make_shadow_rays"]
 
 RAY = {"shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float}
 """What every shadow ray has"""
@@ -67,28 +65,3 @@ def make_options(*, filtered: bool) -> Options:
     options.filtered = int(filtered)
     options.programs = 1
     return options
-
-
-def launch_queued(graph: FrameGraph, kernel: wp.Kernel, inputs: list, queue: wp.array, paths: Paths) -> None:
-    """Record a kernel of the path tracer, whose last input is a queue, over all of the queue.
-
-    On the processor each core takes a part of the queue: such kernels write only their own path.
-    """
-    parts = 1 if graph.cuda else min(thread_count() * BANDS_PER_THREAD, max(queue.shape[0] // 256, 1))
-    edges = [queue.shape[0] * i // parts for i in range(parts + 1)]
-    launches = [
-        wp.launch(
-            kernel, high - low, [*inputs, queue[low:high]], [paths], device=graph.device,
-            block_dim=block_size(kernel.module.name, graph.device), record_cmd=True)
-        for low, high in zip(edges[:-1], edges[1:], strict=True)]
-    # The launches hold addresses only: the closure keeps what they point to.
-    kept = (inputs, queue, paths)
-
-    def replay() -> None:
-        assert kept
-        if len(launches) == 1:
-            launches[0].launch()
-        else:
-            run_bands([launch.launch for launch in launches])
-
-    graph.call(replay, kernel.key)

@@ -13,7 +13,7 @@ import warp as wp
 from .geometry_math import INV_PI, to_frame
 from .hash_grid import NO_CELL, HashGrid, coarse_key
 from .intersect import MISS, any_hit, closest_hit, offset_origin
-from .lights import FAR
+from .lamp_hit import FAR
 from .packing import unpack_normal
 from .paths import ENDED, PENDING_NONE, Paths, store_hit
 from .probe_rays import ProbeRays

@@ -10,7 +10,7 @@ import warp as wp
 
 from .geometry_math import PI
 from .intersect import hit_error, world_vertex
-from .lights import LightSample
+from .lights import LightSample, aim_at_triangle
 from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
 from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene
@@ -108,20 +108,4 @@ def sample_baked(emitters: wp.array[wp.uint64], emitter: int, position: wp.vec3,
     a = wp.vec3(w1[1], w2[0], w2[1])
     b = wp.vec3(w3[0], w3[1], w4[0])
     to_light = wp.vec3(w0[0], w0[1], w1[0]) + a * s.u + b * s.v - position
-    s.distance = wp.length(to_light)
-    double_normal = wp.cross(a, b)
-    double_area = wp.length(double_normal)
-    if s.distance <= 0.0 or double_area <= 0.0:
-        s.kind = -1
-        return s
-    s.wi = to_light / s.distance
-    s.normal = double_normal / double_area
-    cosine = -wp.dot(s.wi, s.normal)
-    if cosine < 0.0:
-        s.normal = -s.normal
-        cosine = -cosine
-    if cosine <= 1.0e-7:
-        s.kind = -1
-        return s
-    s.pdf = s.distance * s.distance / (cosine * 0.5 * double_area)
-    return s
+    return aim_at_triangle(s, to_light, wp.cross(a, b))

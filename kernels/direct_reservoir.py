@@ -15,7 +15,8 @@ from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_prev
 from .geometry_math import INV_PI, is_finite3, luminance, max_component, sqr
 from .light_candidate import Candidate, replay
 from .lights import LightSample
-from .surface_brdf import evaluate_brdf, surface_alpha
+from .specular_lobes import surface_alpha
+from .surface_brdf import evaluate_brdf
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene
 from .view import View, direction_to_eye
 

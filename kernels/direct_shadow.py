@@ -27,8 +27,9 @@ from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
 from .geometry_math import luminance
 from .intersect import any_hit, offset_origin, surface_point
+from .lamp_hit import FAR
 from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
-from .lights import FAR, LightSample
+from .lights import LightSample
 from .packed_halves import pack_halves
 from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The G-buffer: what is known about the surface in each pixel, and how passes read it.
 
-60 bytes a pixel. `hit` and `barycentrics` give the exact point for ray origins (`surface_point` in intersect.py);
-`depth` gives a point good enough for weights, from one load.
+60 bytes a pixel, and 4 more each where glass or a coat is seen. `hit` and `barycentrics` give the exact point for
+ray origins (`surface_point` in intersect.py); `depth` gives a point good enough for weights, from one load.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import max_component
-from .packing import pack_color, unpack_color, unpack_normal, unpack_unorm16
+from .packing import pack_color, pack_unorm16, unpack_color, unpack_normal, unpack_unorm16
 from .view import SKY_DEPTH, View, direction_to_eye, film_position, previous_film_position, unproject
 
 # GBuffer.material: bits above roughness (bits 0..15) and the reflectance at grazing angles (bits 16..23)
@@ -23,7 +23,11 @@ SURFACE_BACKFACING = wp.constant(wp.uint32(1 << 27))
 SURFACE_BRIGHT = wp.constant(wp.uint32(1 << 28))
 """`f0` is stored as a quarter and the reflectance at grazing angles as half: energy compensation lifts rough metals
 to 3.3"""
-SURFACE_FLAGS = wp.constant(wp.uint32(0x1F000000))
+SURFACE_TRANSMITS = wp.constant(wp.uint32(1 << 29))
+"""`transmitted` holds a colour"""
+SURFACE_COATED = wp.constant(wp.uint32(1 << 30))
+"""`coat` holds a second lobe"""
+SURFACE_FLAGS = wp.constant(wp.uint32(0x7F000000))
 
 # Grazing reflectance up to this fits its 8 bits, up to twice of it those of SURFACE_BRIGHT.
 GRAZING_MAX = wp.constant(2.0)
@@ -46,13 +50,17 @@ class GBuffer:
     diffuse: wp.array[wp.uint32]
     """pack_color: diffuse albedo under all layers (reflected; of translucent surfaces see `translucent`)"""
     specular: wp.array[wp.uint32]
-    """pack_color: directional albedo of everything else for this view"""
+    """pack_color: directional albedo of everything else that reflects, for this view, coat included"""
     f0: wp.array[wp.uint32]
     """pack_color: reflectance along the normal of the specular lobe, energy compensation included; see load_material"""
     material: wp.array[wp.uint32]
     """Perceptual roughness (unorm16) | grazing reflectance / GRAZING_MAX (unorm8) << 16 | SURFACE_* bits"""
     translucent: wp.array[wp.uint32]
     """pack_color: albedo of diffuse transmission; valid where SURFACE_TRANSLUCENT is set"""
+    transmitted: wp.array[wp.uint32]
+    """pack_color: directional albedo of specular transmission; valid where SURFACE_TRANSMITS is set"""
+    coat: wp.array[wp.uint32]
+    """Coat's directional albedo (unorm16) | its perceptual roughness (unorm16) << 16; where SURFACE_COATED is set"""
     emission: wp.array[wp.vec4h]
     """Emitted radiance * exposure (of the world where nothing is hit); w = alpha of the pixel"""
     motion: wp.array[wp.vec2]
@@ -73,17 +81,22 @@ class Surface:
 
 @wp.struct
 class SurfaceMaterial:
-    """What a pixel's surface does with light: one diffuse, one translucent and one GGX lobe."""
+    """What a pixel's surface does with light: diffuse, translucent, a GGX lobe, a coat's, what glass lets through."""
 
     diffuse: wp.vec3
     """Albedo"""
     translucent: wp.vec3
     specular: wp.vec3
-    """Directional albedo for this view"""
+    """Directional albedo of all reflection for this view: the lobe of f0, f90 and roughness, and the coat"""
+    transmitted: wp.vec3
+    """Directional albedo of specular transmission"""
     f0: wp.vec3
     f90: float
     roughness: float
     """Perceptual; alpha is its square"""
+    coat: float
+    """Directional albedo of the coat, which is colourless"""
+    coat_roughness: float
     flags: wp.uint32
 
 
@@ -133,13 +146,22 @@ def load_material(gbuffer: GBuffer, pixel: int) -> SurfaceMaterial:
     m.translucent = wp.vec3(0.0, 0.0, 0.0)
     if (packed & SURFACE_TRANSLUCENT) != wp.uint32(0):
         m.translucent = unpack_color(gbuffer.translucent[pixel])
+    m.transmitted = wp.vec3(0.0, 0.0, 0.0)
+    if (packed & SURFACE_TRANSMITS) != wp.uint32(0):
+        m.transmitted = unpack_color(gbuffer.transmitted[pixel])
+    m.coat = 0.0
+    m.coat_roughness = 1.0
+    if (packed & SURFACE_COATED) != wp.uint32(0):
+        coat = unpack_unorm16(gbuffer.coat[pixel])
+        m.coat = coat[0]
+        m.coat_roughness = coat[1]
     return m
 
 
 @wp.func
 def store_material(gbuffer: GBuffer, pixel: int, m: SurfaceMaterial):
-    """Pack what the surface of a pixel does with light; of `flags` SURFACE_BRIGHT and _TRANSLUCENT are set here."""
-    flags = m.flags & ~(SURFACE_BRIGHT | SURFACE_TRANSLUCENT)
+    """Pack what the surface of a pixel does with light; of `flags` those that tell of colours are set here."""
+    flags = m.flags & ~(SURFACE_BRIGHT | SURFACE_TRANSLUCENT | SURFACE_TRANSMITS | SURFACE_COATED)
     f0 = m.f0
     f90 = m.f90
     if max_component(f0) > 1.0 or f90 > GRAZING_MAX:
@@ -150,6 +172,12 @@ def store_material(gbuffer: GBuffer, pixel: int, m: SurfaceMaterial):
     if max_component(m.translucent) > 0.0:
         flags = flags | SURFACE_TRANSLUCENT
         gbuffer.translucent[pixel] = pack_color(m.translucent)
+    if max_component(m.transmitted) > 0.0:
+        flags = flags | SURFACE_TRANSMITS
+        gbuffer.transmitted[pixel] = pack_color(m.transmitted)
+    if m.coat > 0.0:
+        flags = flags | SURFACE_COATED
+        gbuffer.coat[pixel] = pack_unorm16(m.coat, m.coat_roughness)
     roughness = wp.uint32(wp.clamp(m.roughness, 0.0, 1.0) * 65535.0 + 0.5)
     grazing = wp.uint32(wp.clamp(f90 / GRAZING_MAX, 0.0, 1.0) * 255.0 + 0.5)
     gbuffer.material[pixel] = roughness | (grazing << wp.uint32(16)) | (flags & SURFACE_FLAGS)

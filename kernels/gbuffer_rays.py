@@ -12,7 +12,7 @@ from .camera import CameraRay, camera_ray
 from .gbuffer import GBuffer
 from .geometry_math import is_finite3
 from .intersect import MISS, closest_filtered_hit, closest_hit
-from .lights import FAR, lamp_hit
+from .lamp_hit import FAR, lamp_hit
 from .packing import from_half, rgba, to_half
 from .types import LIGHT_HITTABLE, VISIBLE_CAMERA, Lights, LightTree, Scene
 from .view import View, film_position

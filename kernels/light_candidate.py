@@ -15,8 +15,9 @@ from .direct_emitters import EMITTER_WORDS, sample_baked
 from .environment_split import EnvironmentSplit
 from .environment_table import equirect_direction
 from .geometry_math import PI, TWO_PI, safe_sqrt
+from .lamp_hit import FAR
 from .light_tree import choose_by_tree
-from .lights import FAR, LightSample, sample_lamp
+from .lights import LightSample, sample_lamp
 from .types import LIGHT_ENVIRONMENT, Environment, Lights, Scene
 
 # Candidate.light: the kind in its two highest bits, an index below.

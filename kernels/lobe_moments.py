@@ -14,7 +14,7 @@ import warp as wp
 from .albedo_tables import plane_point, view_at
 from .ggx import ggx_reflection, sample_ggx_reflection
 from .packing import pack_unorm16, unpack_unorm16
-from .surface_brdf import schlick, surface_alpha
+from .specular_lobes import schlick, surface_alpha
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -13,18 +13,11 @@ import warp as wp
 from .gbuffer import GBuffer, Surface, has_surface, load_material, load_surface, plane_distance, view_direction
 from .geometry_math import luminance
 from .lobe_moments import reflection_lobe
-from .packing import to_half, unpack_normal
+from .packed_halves import unpack_halves
+from .packing import rgb, to_half, unpack_floats, unpack_normal
 from .probe_gather import neighbour_tile
 from .probe_map import CORRECTION_COSINE, COSINE_1, COSINE_2, cell_of, to_local
-from .probe_records import (
-    RECORD,
-    RECORD_BANDS,
-    WorldBands,
-    half_at,
-    unpack_band,
-    unpack_floats,
-    world_basis,
-)
+from .probe_records import RECORD, RECORD_BANDS, WorldBands, world_basis
 from .probe_spawn import SEPARATION, probe_cell
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .view import View
@@ -155,12 +148,12 @@ def add_record(
     """Add a recorded probe to weighted sums."""
     n = unpack_normal(wp.uint32(records[base + 3] & wp.uint64(0xFFFFFFFF)))
     cosine = wp.dot(p.surface.normal, n)
-    w = weight * half_at(records[base + RECORD_BANDS], wp.uint64(48))
+    w = weight * unpack_halves(records[base + RECORD_BANDS])[3]
     correction = wp.max(cosine - CORRECTION_COSINE, 0.0) / (1.0 - CORRECTION_COSINE)
-    light = unpack_band(records[base + RECORD_BANDS + 9]) * correction
+    light = rgb(unpack_halves(records[base + RECORD_BANDS + 9])) * correction
     specular = wp.vec3(0.0, 0.0, 0.0)
     for k in range(9):
-        c = unpack_band(records[base + RECORD_BANDS + k])
+        c = rgb(unpack_halves(records[base + RECORD_BANDS + k]))
         light = light + c * p.diffuse[k]
         specular = specular + c * p.lobe[k]
     share = float(1.0)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import orthonormal_tangent
-from .packing import HALF_MAX, rgb, unpack_normal
+from .packed_halves import pack_halves
+from .packing import pack_floats, rgb, rgba, unpack_normal
 from .probe_gather import outdated
 from .probe_types import BANDS, ProbeGrid, ProbePool, ProbeTiles
 from .view import View, project
@@ -28,45 +29,6 @@ OUTDATED_TRUST = wp.constant(0.01)
 OFF_FILM = wp.constant(1.0e9)
 
 WorldBands = wp.types.vector(length=9, dtype=wp.float32)
-
-
-@wp.func
-def pack_floats(a: float, b: float) -> wp.uint64:
-    """Pack the bits of two floats."""
-    return wp.uint64(wp.cast(a, wp.uint32)) | (wp.uint64(wp.cast(b, wp.uint32)) << wp.uint64(32))
-
-
-@wp.func
-def unpack_floats(packed: wp.uint64) -> wp.vec2:
-    """Return the floats of pack_floats."""
-    return wp.vec2(
-        wp.cast(wp.uint32(packed & wp.uint64(0xFFFFFFFF)), float), wp.cast(wp.uint32(packed >> wp.uint64(32)), float))
-
-
-@wp.func
-def half_bits(x: float) -> wp.uint64:
-    """Return the bits of a number as half-float, clamped to its range."""
-    return wp.uint64(wp.cast(wp.float16(wp.clamp(x, -HALF_MAX, HALF_MAX)), wp.uint16))
-
-
-@wp.func
-def half_at(packed: wp.uint64, shift: wp.uint64) -> float:
-    """Return one of the half-floats in a word."""
-    return float(wp.cast(wp.uint16((packed >> shift) & wp.uint64(0xFFFF)), wp.float16))
-
-
-@wp.func
-def pack_band(c: wp.vec3, trust: float) -> wp.uint64:
-    """Pack four half-floats."""
-    return (half_bits(c[0]) | (half_bits(c[1]) << wp.uint64(16)) | (half_bits(c[2]) << wp.uint64(32))
-            | (half_bits(trust) << wp.uint64(48)))
-
-
-@wp.func
-def unpack_band(packed: wp.uint64) -> wp.vec3:
-    """Return the colour of pack_band."""
-    return wp.vec3(
-        half_at(packed, wp.uint64(0)), half_at(packed, wp.uint64(16)), half_at(packed, wp.uint64(32)))
 
 
 @wp.func
@@ -135,5 +97,5 @@ def record_probes(
     blue = world_coefficients(pool, slot, n, 2)
     trust = wp.where(outdated(view, pool, slot), OUTDATED_TRUST, 1.0)
     for k in range(9):
-        records_out[base + RECORD_BANDS + k] = pack_band(wp.vec3(red[k], green[k], blue[k]), trust)
-    records_out[base + RECORD_BANDS + 9] = pack_band(rgb(pool.irradiance[slot * BANDS + 9]), trust)
+        records_out[base + RECORD_BANDS + k] = pack_halves(wp.vec4(red[k], green[k], blue[k], trust))
+    records_out[base + RECORD_BANDS + 9] = pack_halves(rgba(rgb(pool.irradiance[slot * BANDS + 9]), trust))

@@ -15,7 +15,8 @@ import warp as wp
 
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, offset_origin
-from .lights import FAR, LightSample, emitter_pdf, lamp_chance, lamp_hit, sample_light
+from .lamp_hit import FAR, lamp_hit
+from .lights import LightSample, emitter_pdf, lamp_chance, sample_light
 from .paths import (
     ENDED,
     PENDING_NONE,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reflection model of the G-buffer's materials: one diffuse, one translucent and one GGX lobe.
+"""The reflection model of the G-buffer's materials: diffuse, translucent and the reflecting lobes.
 
 What gbuffer_materials.py packs from the material's real BSDF and what direct light is resampled by.
 """
@@ -9,13 +9,9 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import Surface, SurfaceMaterial
-from .geometry_math import INV_PI, orthonormal_tangent, sqr
-from .ggx import ggx_reflection
-from .normals import bump_shadowing, valid_specular_normal
-
-# Least GGX alpha (a perceptual roughness of 0.022): below it a lobe is narrower than what float32 and one light
-# sample a pixel can meet.
-ALPHA_MIN = wp.constant(5.0e-4)
+from .geometry_math import INV_PI
+from .normals import bump_shadowing
+from .specular_lobes import lobes_value, specular_lobes
 
 
 @wp.struct
@@ -29,30 +25,9 @@ class SurfaceBrdf:
 
 
 @wp.func
-def surface_alpha(roughness: float) -> float:
-    """Return the GGX alpha of a perceptual roughness."""
-    return wp.max(sqr(roughness), ALPHA_MIN)
-
-
-@wp.func
-def schlick(f0: wp.vec3, f90: float, cos_h: float) -> wp.vec3:
-    """Return f0 + (f90 - f0) (1 - cos)^5 (Schlick 1994)."""
-    m = wp.clamp(1.0 - cos_h, 0.0, 1.0)
-    m5 = sqr(sqr(m)) * m
-    return f0 * (1.0 - m5) + wp.vec3(f90, f90, f90) * m5
-
-
-@wp.func
 def evaluate_specular(m: SurfaceMaterial, s: Surface, wo: wp.vec3, wi: wp.vec3) -> wp.vec3:
-    """Return the GGX lobe's value; about a normal turned so that mirrors reflect, as in the reference."""
-    n = valid_specular_normal(s.geometric_normal, wo, s.normal)
-    t = orthonormal_tangent(n)
-    b = wp.cross(n, t)
-    local_o = wp.vec3(wp.dot(t, wo), wp.dot(b, wo), wp.dot(n, wo))
-    local_i = wp.vec3(wp.dot(t, wi), wp.dot(b, wi), wp.dot(n, wi))
-    alpha = surface_alpha(m.roughness)
-    lobe = ggx_reflection(local_o, local_i, alpha, alpha)
-    return schlick(m.f0, m.f90, lobe[2]) * lobe[0]
+    """Return the reflecting lobes' value; about a normal turned so that mirrors reflect, as in the reference."""
+    return lobes_value(m, specular_lobes(m, s, wo), wi)
 
 
 @wp.func

@@ -24,7 +24,8 @@ from ..settings import DenoiserSettings
 __all__ = ["LIGHT_PASSES", "CompositePass"]
 
 LIGHT_PASSES = ("Diffuse Direct", "Diffuse Indirect", "Diffuse Color")
-"""Names of the pictures that read_light_pass() gives: (direct + indirect) * color is the picture's diffuse light."""
+"""Names of the pictures that read_light_pass() gives, of the real-time integrator only: (direct + indirect) * color is
+the picture's diffuse light."""
 
 
 class CompositePass:

@@ -28,7 +28,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings
-from ..shadow_rays import launch_queued, make_options, make_queue, make_shadow_rays
+from ..shadow_rays import make_options, make_queue, make_shadow_rays
 
 __all__ = ["DirectLightPass", "has_lights"]
 
@@ -145,10 +145,10 @@ class DirectLightPass:
             graph.launch(direct_shadow.trace_direct_shadows, self.slots, [scene], [self.rays])
             shadows = [scene, make_options(filtered=filtered), 0]
             if filtered:
-                launch_queued(graph, tracing.trace_shadow_layers, shadows, self.queue, self.rays)
-                launch_queued(graph, shadow_layers.weaken_shadow_rays, shadows, self.queue, self.rays)
+                graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.rays])
+                graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.rays])
             if textured:
-                launch_queued(graph, shadow_lights.shade_lights, shadows, self.queue, self.rays)
+                graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
             graph.launch(
                 direct_shade.shade_direct, self.slots,

@@ -37,7 +37,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of
 from ..settings import CacheKey, CacheSettings
-from ..shadow_rays import launch_queued, make_options, make_queue
+from ..shadow_rays import make_options, make_queue
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -221,8 +221,8 @@ class RadianceCachePass:
         graph.launch(cache_rays.trace_cache_rays, count, [scene, offset], [self.paths])
         if self._layers:
             queue = self.queue[offset : offset + count]
-            launch_queued(graph, tracing.trace_layers, [scene], queue, self.paths)
-            launch_queued(graph, layers.filter_paths, [scene], queue, self.paths)
+            graph.launch_queued(tracing.trace_layers, [scene], queue, [self.paths])
+            graph.launch_queued(layers.filter_paths, [scene], queue, [self.paths])
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
@@ -250,8 +250,8 @@ class RadianceCachePass:
             graph.launch(cache_rays.trace_cache_shadows, total, [scene, int(self._layers)], [self.paths])
             if self._layers:
                 shadows = [scene, make_options(filtered=True), 1]
-                launch_queued(graph, tracing.trace_shadow_layers, shadows, self.queue, self.paths)
-                launch_queued(graph, shadow_layers.weaken_shadow_rays, shadows, self.queue, self.paths)
+                graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.paths])
+                graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
             if programs:
                 graph.launch(cache_programs.finish_cache_lights, total, [scene], [self.paths])
 

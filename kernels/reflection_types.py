@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the passes of glossy reflections share: options, one sample for each block of pixels, zones of roughness.
+
+Eto et al. 2023, section 2. A block is `stride` x `stride` pixels (half resolution: 2 x 2) and has one sample a frame,
+at one of its pixels that reflects. Specular transmission (glass) is sampled, filtered and averaged by the same kernels
+in images of its own.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .gbuffer import SurfaceMaterial
+from .geometry_math import max_component
+
+LOBE_REFLECTION = wp.constant(0)
+LOBE_TRANSMISSION = wp.constant(1)
+
+# ReflectionSamples.place of blocks without a sample.
+NO_SAMPLE = wp.constant(wp.uint8(255))
+
+# Distance [m] that stands for the world in samples; the largest round number that fits a half-float.
+SAMPLE_FAR = wp.constant(6.0e4)
+
+# Directional albedo below which no reflection is drawn: 8-bit pictures can't show it.
+REFLECTANCE_MIN = wp.constant(1.0e-3)
+
+
+@wp.struct
+class ReflectionOptions:
+    """Settings and sizes of the reflection passes."""
+
+    width: int
+    """Of the picture [px]"""
+    height: int
+    stride: int
+    """Pixels of a block's side: 1, 2 or 4"""
+    columns: int
+    """Blocks in a row: ceil(width / stride)"""
+    rows: int
+    lobe: int
+    """LOBE_REFLECTION or LOBE_TRANSMISSION"""
+    traced: float
+    """Roughness up to which rays are traced (the paper's r_rt)"""
+    diffuse: float
+    """Roughness from which the diffuse result stands in (the paper's r_diffuse)"""
+    blend: float
+    """Width of the zones of roughness above `traced` and below `diffuse` in which two methods blend"""
+
+
+@wp.struct
+class ReflectionSamples:
+    """One entry a block, row by row."""
+
+    place: wp.array[wp.uint8]
+    """Pixel within the block, y * stride + x; NO_SAMPLE: nothing in the block reflects. After a sample was found
+    missing the place stays and `pdf` is 0"""
+    radiance: wp.array[wp.uint64]
+    """pack_halves: incoming radiance * f cos / pdf / albedo, exposed (its mean times GBuffer.specular, or
+    .transmitted, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m], SAMPLE_FAR for the
+    world"""
+    direction: wp.array[wp.uint32]
+    """pack_normal: unit direction in which the ray left the pixel's surface"""
+    pdf: wp.array[float]
+    """Density [1/sr] with which it was drawn; 0: no sample, the radiance means nothing"""
+
+
+@wp.func
+def block_of(options: ReflectionOptions, pixel: int) -> int:
+    """Return the block of a pixel."""
+    return (pixel // options.width // options.stride) * options.columns + pixel % options.width // options.stride
+
+
+@wp.func
+def place_pixel(options: ReflectionOptions, block: int, place: int) -> int:
+    """Return the pixel at a place of a block; -1 outside of the picture."""
+    x = block % options.columns * options.stride + place % options.stride
+    y = block // options.columns * options.stride + place // options.stride
+    if x >= options.width or y >= options.height:
+        return -1
+    return y * options.width + x
+
+
+@wp.func
+def sample_pixel(options: ReflectionOptions, samples: ReflectionSamples, block: int) -> int:
+    """Return the pixel at which a block was sampled; -1 for none."""
+    place = samples.place[block]
+    if place == NO_SAMPLE:
+        return -1
+    return place_pixel(options, block, int(place))
+
+
+@wp.func
+def fading(x: float, start: float, width: float) -> float:
+    """Return 1 up to `start`, falling smoothly to 0 at `start + width`."""
+    t = wp.clamp((x - start) / wp.max(width, 1.0e-6), 0.0, 1.0)
+    return 1.0 - t * t * (3.0 - 2.0 * t)
+
+
+@wp.func
+def ray_share(options: ReflectionOptions, roughness: float) -> float:
+    """Return the share of a reflection that rays bring; the rest is looked up in the probes."""
+    if options.lobe == LOBE_TRANSMISSION:
+        return 1.0
+    return fading(roughness, options.traced, options.blend)
+
+
+@wp.func
+def sampled_share(options: ReflectionOptions, roughness: float) -> float:
+    """Return the share of a reflection that samples bring (rays or probes); the rest is diffuse light."""
+    if options.lobe == LOBE_TRANSMISSION:
+        return 1.0
+    return fading(roughness, options.diffuse - options.blend, options.blend)
+
+
+@wp.func
+def is_sampled(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
+    """Return whether a surface needs samples of this lobe."""
+    if options.lobe == LOBE_TRANSMISSION:
+        return max_component(m.transmitted) > REFLECTANCE_MIN
+    sharpest = m.roughness
+    if m.coat > REFLECTANCE_MIN:
+        sharpest = wp.min(sharpest, m.coat_roughness)
+    return max_component(m.specular) > REFLECTANCE_MIN and sampled_share(options, sharpest) > 0.0

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reflecting lobes of the G-buffer's materials: a GGX lobe and the coat's, their mixture's density and sampling.
+
+What reflection rays are drawn from and filters weigh neighbours by: one density for the mixture, by the lobes'
+albedos, so that a sharp coat on a rough base needs no image of its own. Bounded visible normals (Eto and Tokuyoshi
+2023).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .gbuffer import Surface, SurfaceMaterial
+from .geometry_math import mean_component, orthonormal_tangent, sqr
+from .ggx import ggx_reflection, sample_ggx_reflection
+from .normals import valid_specular_normal
+
+# Least GGX alpha (a perceptual roughness of 0.022): below it a lobe is narrower than what float32 and one light
+# sample a pixel can meet.
+ALPHA_MIN = wp.constant(5.0e-4)
+
+# Reflectance of a coat along its normal by that at grazing angles (index 1.5, Blender's default).
+COAT_F0 = wp.constant(0.04)
+
+
+@wp.struct
+class SpecularLobes:
+    """A surface's reflecting lobes for one view."""
+
+    tangent: wp.vec3
+    bitangent: wp.vec3
+    normal: wp.vec3
+    """Turned so that mirrors reflect above the surface, as in the reference"""
+    local_o: wp.vec3
+    """View in that frame"""
+    alpha: float
+    coat_alpha: float
+    coat_share: float
+    """Of the samples: the coat's albedo by that of both lobes"""
+
+
+@wp.func
+def surface_alpha(roughness: float) -> float:
+    """Return the GGX alpha of a perceptual roughness."""
+    return wp.max(sqr(roughness), ALPHA_MIN)
+
+
+@wp.func
+def schlick(f0: wp.vec3, f90: float, cos_h: float) -> wp.vec3:
+    """Return f0 + (f90 - f0) (1 - cos)^5 (Schlick 1994)."""
+    m = wp.clamp(1.0 - cos_h, 0.0, 1.0)
+    m5 = sqr(sqr(m)) * m
+    return f0 * (1.0 - m5) + wp.vec3(f90, f90, f90) * m5
+
+
+@wp.func
+def specular_lobes(m: SurfaceMaterial, s: Surface, wo: wp.vec3) -> SpecularLobes:
+    """Return a surface's lobes for the view `wo`."""
+    lobes = SpecularLobes()
+    lobes.normal = valid_specular_normal(s.geometric_normal, wo, s.normal)
+    lobes.tangent = orthonormal_tangent(lobes.normal)
+    lobes.bitangent = wp.cross(lobes.normal, lobes.tangent)
+    lobes.local_o = lobe_frame(lobes, wo)
+    lobes.alpha = surface_alpha(m.roughness)
+    lobes.coat_alpha = lobes.alpha
+    lobes.coat_share = 0.0
+    if m.coat > 0.0:
+        lobes.coat_alpha = surface_alpha(m.coat_roughness)
+        lobes.coat_share = wp.clamp(m.coat / wp.max(mean_component(m.specular), 1.0e-6), 0.0, 1.0)
+    return lobes
+
+
+@wp.func
+def lobe_frame(lobes: SpecularLobes, v: wp.vec3) -> wp.vec3:
+    """Return a direction in the lobes' frame."""
+    return wp.vec3(wp.dot(lobes.tangent, v), wp.dot(lobes.bitangent, v), wp.dot(lobes.normal, v))
+
+
+@wp.func
+def sample_lobes(lobes: SpecularLobes, u: wp.vec2, pick: float) -> wp.vec3:
+    """Return a direction drawn from the mixture; it may lie below the surface.
+
+    Args:
+        lobes: From specular_lobes.
+        u: Random numbers that place it.
+        pick: Random number that chooses the lobe.
+    """
+    alpha = wp.where(pick < lobes.coat_share, lobes.coat_alpha, lobes.alpha)
+    d = sample_ggx_reflection(lobes.local_o, alpha, alpha, u)
+    return wp.normalize(lobes.tangent * d[0] + lobes.bitangent * d[1] + lobes.normal * d[2])
+
+
+@wp.func
+def lobes_pdf(lobes: SpecularLobes, wi: wp.vec3) -> float:
+    """Return the density [1/sr] of sample_lobes; 0 below the surface."""
+    local_i = lobe_frame(lobes, wi)
+    pdf = ggx_reflection(lobes.local_o, local_i, lobes.alpha, lobes.alpha)[1] * (1.0 - lobes.coat_share)
+    if lobes.coat_share > 0.0:
+        pdf += ggx_reflection(lobes.local_o, local_i, lobes.coat_alpha, lobes.coat_alpha)[1] * lobes.coat_share
+    return pdf
+
+
+@wp.func
+def lobes_value(m: SurfaceMaterial, lobes: SpecularLobes, wi: wp.vec3) -> wp.vec3:
+    """Return f * cos [1/sr] of all reflecting lobes; 0 below the surface."""
+    local_i = lobe_frame(lobes, wi)
+    lobe = ggx_reflection(lobes.local_o, local_i, lobes.alpha, lobes.alpha)
+    value = schlick(m.f0, m.f90, lobe[2]) * lobe[0]
+    if lobes.coat_share > 0.0:
+        # `coat` is the albedo for this view, which holds Fresnel's mean over the lobe: its shape is that of a mirror's
+        # by comparison with this view's half vector.
+        coat = ggx_reflection(lobes.local_o, local_i, lobes.coat_alpha, lobes.coat_alpha)
+        here = COAT_F0 + (1.0 - COAT_F0) * wp.pow(1.0 - wp.clamp(coat[2], 0.0, 1.0), 5.0)
+        mean = COAT_F0 + (1.0 - COAT_F0) * wp.pow(1.0 - wp.clamp(lobes.local_o[2], 0.0, 1.0), 5.0)
+        k = m.coat * coat[0] * wp.min(here / mean, 4.0)
+        value += wp.vec3(k, k, k)
+    return value
