@@ -3,11 +3,12 @@
 # make test     set up .venv, run the fast tests (make slow: the long ones)
 # make package  build and validate the extension's zips in dist/
 # make gui      drive a real Blender window with the installed extension; pictures in out/gui/
+# make figures  draw the paper's figures to out/figures and write docs/figures.md (SCENES="A.blend B.blend")
 # make lint     ruff; make docs: the README's settings table; make lock: requirements.txt anew; make clean
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup render test slow gui lint docs lock package clean
+.PHONY: help setup render test slow gui figures lint docs lock package clean
 
 PYTHON = .venv/bin/python
 PYTEST = $(PYTHON) -m pytest
@@ -15,6 +16,8 @@ SCENE ?= sample_blends/gallery.blend
 OUTPUT ?= $(CURDIR)/out/gallery.png
 RENDER_ARGUMENTS ?= --size 640 360 --samples 32 --integrator reference
 TESTS ?=
+SCENES ?=
+FIGURE_ARGUMENTS ?=
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' blender_manifest.toml)
 WHEEL_LINUX := $(shell sed -n 's,.*"\./\(wheels/.*manylinux.*\.whl\)".*,\1,p' blender_manifest.toml)
 WHEEL_WINDOWS := $(shell sed -n 's,.*"\./\(wheels/.*win_amd64\.whl\)".*,\1,p' blender_manifest.toml)
@@ -51,6 +54,9 @@ slow: setup
 
 gui: $(firstword $(ZIPS))
 	@$(PYTEST) -q -s -m window tests/gui
+
+figures: setup
+	@$(PYTHON) tests/performance/figures.py $(FIGURE_ARGUMENTS) $(SCENES)
 
 lint: setup
 	@$(PYTHON) -m ruff check .

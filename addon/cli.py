@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..engine.errors import BurnishError
-from ..engine.settings import DebugSettings, Device, RenderSettings, SamplingSettings, setting_info
+from ..engine.settings import DebugSettings, Device, Preset, RenderSettings, SamplingSettings, setting_info
 from .cli_output import Console, diverted_output
 
 __all__ = ["main", "register", "unregister"]
@@ -105,6 +105,9 @@ def add_render(commands: Any) -> None:
     for name, flag in OPTIONS.items():
         add_setting(parser, SamplingSettings, name, flag)
     add_setting(parser, RenderSettings, "device", "--device")
+    parser.add_argument("--preset", choices=[str(preset) for preset in Preset if preset != Preset.CUSTOM],
+                        help="set probes, cache, direct light, reflections and denoiser of the realtime integrator; "
+                        "default: the scene's")
     view = setting_info(DebugSettings)["view"].metadata
     parser.add_argument("--debug-view", choices=list(view["choices"]), metavar="NAME", default="",
                         help=f"{view['help']}; with the realtime integrator; one of: {', '.join(view['choices'])}")

@@ -96,6 +96,8 @@ def set_up(scene: Any, arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None:
             assign(scene, name, value)
+    if arguments.preset is not None:
+        bpy.ops.burnish.apply_preset(preset=arguments.preset.upper())
     if arguments.debug_view and scene.burnish.sampling.integrator != 'REALTIME':
         raise InvalidScene("The scene's integrator has no debug views; use --integrator realtime.")
     if arguments.time_limit and arguments.samples is None:

@@ -13,6 +13,8 @@ __all__ = ["exit_handlers", "pass_name", "set_texture_filter"]
 OLD_PASS_NAMES = {
     "Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env",
     "Diffuse Direct": "DiffDir", "Diffuse Indirect": "DiffInd", "Diffuse Color": "DiffCol",
+    "Glossy Direct": "GlossDir", "Glossy Indirect": "GlossInd", "Glossy Color": "GlossCol",
+    "Transmission Direct": "TransDir", "Transmission Indirect": "TransInd", "Transmission Color": "TransCol",
 }
 
 

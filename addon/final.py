@@ -23,7 +23,7 @@ from ..engine.report import Report
 from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import CameraData
 from ..engine.settings import DebugSettings, Integrator, RenderSettings
-from . import builds, passes, preferences, preview, report
+from . import builds, oidn, passes, preferences, preview, report
 from .extract.camera import camera_from_scene
 from .extract.scene import ExtractionCancelled, SceneExtractor
 from .extract.settings import settings_from_scene
@@ -40,6 +40,9 @@ TIMED_FRAME = 8
 """Real-time frame whose sections are measured: the first ones record their launches and have no history yet"""
 RESULT_SECONDS = 0.5
 """Time between two partial pictures in the window."""
+
+GUIDES = {Integrator.REALTIME: ("Normal", "Diffuse Color", "Glossy Color", "Transmission Color")}
+"""Passes that guide the final denoiser: the normal, and what adds up to the albedo."""
 
 debug_view = ""
 """Intermediate result that final renders show instead of the picture, for the command line. The scene's own choice is
@@ -184,7 +187,9 @@ class FinalRender:
         engine = self.engine
         engine.active_view_set(view)
         camera = view_camera(engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
-        names = tuple(aov.source for aov in self.aovs)
+        denoised = self.settings.denoiser.final_denoise and not self.settings.debug.view
+        guides = GUIDES.get(self.settings.sampling.integrator, ()) if denoised else ()
+        names = tuple(dict.fromkeys((*(aov.source for aov in self.aovs), *guides)))
         for (kind, owner, message), count in realtime_approximations(
                 self.settings, self.facts, camera.aperture_radius).counts.items():
             # Once, however many views there are.
@@ -201,6 +206,9 @@ class FinalRender:
         try:
             samples, seconds = self._sample(session, result)
             pixels = {aov.name: session.read(aov.source) for aov in self.aovs}
+            if denoised and not engine.test_break():
+                self.progress.stage("Denoising")
+                pixels["Combined"] = denoise(pixels["Combined"], [session.read(name) for name in guides])
             self._write(result, pixels)
             finished = True
         finally:
@@ -245,6 +253,14 @@ class FinalRender:
         for render_pass in result.layers[0].passes:
             if render_pass.name in pixels:
                 passes.write_pass(render_pass, pixels[render_pass.name])
+
+
+def denoise(pixels: np.ndarray, guides: list[np.ndarray]) -> np.ndarray:
+    """Return a picture denoised by a normal and parts of the albedo, or by itself where there are none."""
+    if not guides:
+        return oidn.denoise(pixels)
+    normal, *parts = guides
+    return oidn.denoise(pixels, sum(parts), normal)
 
 
 def timed_frame(settings: RenderSettings) -> int:

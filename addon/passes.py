@@ -32,6 +32,9 @@ class Aov:
     """Only the real-time integrator has it."""
 
 
+LIGHT_PASSES = tuple(
+    f"{lobe} {part}" for lobe in ("Diffuse", "Glossy", "Transmission") for part in ("Direct", "Indirect", "Color"))
+
 AOVS = (
     Aov("Combined", "Combined", "RGBA", 'COLOR', "use_pass_combined"),
     Aov("Depth", "Depth", "Z", 'VALUE', "use_pass_z"),
@@ -42,9 +45,8 @@ AOVS = (
     Aov(compat.pass_name("Material Index"), "Material Index", "X", 'VALUE', "use_pass_material_index"),
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
-    Aov(compat.pass_name("Diffuse Direct"), "Diffuse Direct", "RGB", 'COLOR', "use_pass_diffuse_direct", True),
-    Aov(compat.pass_name("Diffuse Indirect"), "Diffuse Indirect", "RGB", 'COLOR', "use_pass_diffuse_indirect", True),
-    Aov(compat.pass_name("Diffuse Color"), "Diffuse Color", "RGB", 'COLOR', "use_pass_diffuse_color", True),
+    *(Aov(compat.pass_name(name), name, "RGB", 'COLOR', f"use_pass_{name.lower().replace(' ', '_')}", True)
+      for name in LIGHT_PASSES),
 )
 
 

@@ -13,6 +13,8 @@ DEBUG_VIEWS: dict[str, str] = {
     "gbuffer.normal": "Shading normal in world space, -1..1 shown as 0..1",
     "gbuffer.albedo": "Diffuse albedo: the share of light that the surface reflects in all directions",
     "gbuffer.specular": "Specular albedo: the share of light that the surface mirrors, for this view",
+    "gbuffer.transmitted": "Albedo of glass: the share of light that the surface lets through, for this view",
+    "gbuffer.coat": "Albedo of the coat, where that is a reflection of its own beside the surface's, for this view",
     "gbuffer.roughness": "Roughness of reflections, widened where normals vary inside a pixel: black is a mirror",
     "gbuffer.depth": "Distance from the camera",
     "gbuffer.motion": "Motion in pixels since the frame before: red to the right, green upwards, grey at rest",
@@ -38,8 +40,20 @@ DEBUG_VIEWS: dict[str, str] = {
     "direct.variance": "Error left in the mean of direct light, relative to it: white from 100 % on",
     "diffuse.history": "Frames averaged in indirect light: black where it started anew, white from 1024 on",
     "diffuse.blur": "Radius of the blur of indirect light: white at the largest, black where history replaces it",
+    "reflections.classes": "How each reflection is found: blue by a ray, light blue if sharp, green in the probes, "
+    "grey from diffuse light",
+    "reflections.hits": "What reflection rays found: blue the world, white a light; of surfaces green the picture "
+    "before, yellow a shadow ray of their own, purple the cache alone",
+    "reflections.radiance": "Reflected light of this frame's samples, without the surfaces' colours, before it is "
+    "denoised",
+    "reflections.distance": "Length of the way to what is reflected, over mirrors and glass: white is the world",
+    "reflections.filtered": "Reflections of this frame after their filter, before they are averaged over frames",
+    "reflections.history": "Samples averaged in reflections: black where it started anew, white from 1024 on",
+    "reflections.variance": "Error left in the mean of reflections, relative to it: white from 100 % on",
+    "reflections.marked": "Reflection samples that are replaced: sparks red, missing ones blue",
     "composite.direct": "Emission and direct light with the surfaces' colours",
     "composite.indirect": "Indirect light with the surfaces' colours",
+    "composite.reflection": "Indirect light that the surfaces reflect, with their colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
     "rest.weight": "Share of path-traced samples in the picture, once it has been at rest for long: white is all",
 }

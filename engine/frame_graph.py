@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from .device import record, run_bands, thread_count
+from .work_list import LISTED_THREADS, ONCE, WorkList
 
 __all__ = ["FrameGraph"]
 
@@ -93,6 +94,24 @@ class FrameGraph:
         for low, high in self._bands(len(queue)):
             step.launches.append(record(kernel, [*inputs, queue[low:high]], outputs, self.device, high - low))
         self._steps.append(step)
+
+    def fill_list(self, kernel: wp.Kernel, count: int, inputs: list, work: WorkList) -> None:
+        """Record a kernel that puts those of `count` elements into an empty list that need work; CUDA only."""
+        if self.cuda:
+            self.clear(work.count)
+            self.launch(kernel, count, inputs, [work.queue, work.count], banded=False)
+
+    def launch_listed(self, kernel: wp.Kernel, inputs: list, work: WorkList, outputs: list) -> None:
+        """Record a kernel over the elements of a list, whose number only the device knows.
+
+        Its last inputs are the number of threads, the number of elements and the list; thread i takes elements i,
+        i + threads, ... It must leave elements alone that need no work: on the processor all are in the list.
+        """
+        if self.cuda:
+            self.launch(
+                kernel, LISTED_THREADS, [*inputs, LISTED_THREADS, work.count, work.queue], outputs, banded=False)
+        else:
+            self.launch_queued(kernel, [*inputs, ONCE, work.count], work.queue, outputs)
 
     def _bands(self, count: int) -> list[tuple[int, int]]:
         if self.cuda or count < 2 * BAND_MINIMUM:

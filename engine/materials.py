@@ -23,6 +23,7 @@ from ..kernels.types import (
 from .lean import LeanPrograms, is_lean, is_lean_transparency
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
+from .reflectors import Reflectors, find_reflectors
 from .scene import CameraData, CameraKind, MaterialData
 
 __all__ = ["MaterialTable", "attribute_names", "default_material", "uv_map_names"]
@@ -63,6 +64,7 @@ class MaterialTable:
         self.uses_camera = False
         """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
         self.lean = LeanPrograms()
+        self.reflectors = Reflectors()
         self.indices: dict[Hashable, int] = {}
         self.bytes = 0
         self.build({}, None, lambda key: 0, lambda name: -1, lambda name: -1)
@@ -96,6 +98,7 @@ class MaterialTable:
         self.indices = {key: row for row, key in enumerate(everything)}
         records = np.zeros(len(everything), dtype=Material.numpy_dtype())
         self.uses_camera = world is not None and world.uses_camera
+        self.reflectors = find_reflectors(data.program for data in everything.values())
         for row, data in enumerate(everything.values()):
             base = table.add_tables(data.program)
             records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)

@@ -12,6 +12,8 @@ from __future__ import annotations
 import warp as wp
 
 from ..kernels.motion import Motion
+from ..kernels.reflection_chain import MIRROR_ROUGHNESS
+from ..kernels.reflection_types import LOBE_REFLECTION, LOBE_TRANSMISSION
 from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_graph import FrameGraph
@@ -22,6 +24,8 @@ from .passes.direct_denoise import DirectDenoisePass
 from .passes.direct_light import DirectLightPass
 from .passes.gbuffer import GBufferPass
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
+from .passes.reflection_denoise import ReflectionDenoisePass
+from .passes.reflections import RayScene, ReflectionPass
 from .passes.screen_probes import ScreenProbePass
 from .settings import RenderSettings
 from .view_data import ViewTracker
@@ -55,14 +59,22 @@ class Pipeline:
         self.gbuffer = GBufferPass(device)
         self.cache = RadianceCachePass(device, settings.cache)
         self.probes = ScreenProbePass(device, settings.probes)
-        self.direct = DirectLightPass(device, settings.direct_light)
+        self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
+        self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
+        self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
+        self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))
+        self.refraction_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_TRANSMISSION))
         self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
-                       self.composite)
+                       self.reflections, self.refraction, self.composite)
         for each in self.passes:
             each.resize(width, height)
+        filters = (self.reflection_denoise, self.refraction_denoise)
+        for each in filters:
+            each.resize(width, height, self.reflections.options.stride)
+        self.passes += filters
         self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
         self.motion = MotionTracker(device)
         self.show(settings.debug.view)
@@ -116,7 +128,8 @@ class Pipeline:
         pixels = self.gbuffer.width * self.gbuffer.height
         counts = {"primary rays": pixels, "direct shadow rays": pixels}
         counts |= {f"probes {name}": value for name, value in self.probes.stats().items()}
-        return counts | {f"cache {name}": value for name, value in self.cache.stats().items()}
+        counts |= {f"cache {name}": value for name, value in self.cache.stats().items()}
+        return counts | self.reflections.stats() | self.refraction.stats()
 
     def _update_split(self, scene: DeviceScene) -> None:
         """Split the world's light anew where the world has changed."""
@@ -127,9 +140,23 @@ class Pipeline:
     def _fingerprint(self, scene: DeviceScene, motion: Motion) -> bytes:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
         facts = (scene.structures.has_filtered, scene.has_light_programs, scene.emitters.textured, scene.local_power,
-                 scene.radius, self.split.share, scene.material_table.lean)
+                 scene.radius, self.split.share, scene.material_table.lean, scene.material_table.reflectors)
         structs = (scene.scene, motion, self.split)
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
+
+    def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
+        """Return the passes of reflection and refraction that the scene needs."""
+        reflectors = scene.material_table.reflectors
+        needed = []
+        if reflectors.sharpest < self._settings.reflections.roughness_diffuse:
+            needed.append(self.reflections)
+        else:
+            graph.skip("reflections", "nothing reflects sharply")
+        if reflectors.refracts:
+            needed.append(self.refraction)
+        else:
+            graph.skip("refraction", "nothing refracts")
+        return needed
 
     def _record(
         self, parity: int, scene: DeviceScene, views: wp.array, motion: Motion,
@@ -143,15 +170,30 @@ class Pipeline:
             lean_layers=lean.transparency)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         rays, count = self.probes.record_rays(graph, parity, kernels_scene, views, surfaces)
+        smallest = smallest_cell(self._settings.cache, scene.radius)
+        color = self.composite.color.previous(parity)
+        traced = self._reflecting(graph, scene)
+        what = RayScene(
+            kernels_scene, self.split, motion, filtered, programs, lean.surface, lean.transparency,
+            scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS)
+        for each in traced:
+            each.record_rays(graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest))
         self.cache.record(
-            graph, parity, kernels_scene, views, rays, count,
-            minimum_cell=smallest_cell(self._settings.cache, scene.radius), threshold=self.split.threshold,
-            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat)
+            graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
+            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency)
         indirect = self.probes.record_light(
-            graph, parity, kernels_scene, views, surfaces, self.composite.color.previous(parity), reprojection)
+            graph, parity, kernels_scene, views, surfaces, color, reprojection)
+        filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
+        shown = {}
+        for each in traced:
+            samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
+            with graph.section(f"{each.title} denoising"):
+                shown[each] = filters[each].record(
+                    graph, parity, kernels_scene, views, surfaces, before, reprojection, each.options, samples,
+                    jitter=self._settings.reflections.jitter)
         direct = self.direct.record(
             graph, parity, kernels_scene, views, surfaces, before, reprojection, self.split, filtered=filtered,
-            textured=scene.emitters.textured, local_power=scene.local_power)
+            textured=scene.emitters.textured, local_power=scene.local_power, lean_layers=lean.transparency)
         with graph.section("Direct denoising"):
             direct = self.direct_denoise.record(graph, parity, views, surfaces, before, reprojection, direct)
         with graph.section("Diffuse denoising"):
@@ -159,10 +201,13 @@ class Pipeline:
         with graph.section("Composite"):
             picture = self.composite.record(
                 graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect,
-                self.probes.specular_ratio)
+                self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
+                self.reflections.options)
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):
-                owner.record_debug(graph, parity, name, self._debug_picture)
+                graph.clear(self._debug_picture)
+                if owner not in (self.reflections, self.reflection_denoise) or self.reflections in traced:
+                    owner.record_debug(graph, parity, name, self._debug_picture)
             picture = self._debug_picture
         return graph, picture

@@ -38,18 +38,18 @@ class Realtime:
         self._blend = RestBlend(device)
         self._settings: RenderSettings | None = None
         self._size = (0, 0)
-        self._light_passes = False
+        self._light_passes: tuple[str, ...] = ()
         self._moved = self._lit = False
         self._blended = False
 
-    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: bool) -> None:
+    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: tuple[str, ...]) -> None:
         """Allocate for settings and a size [px]; a change of either forgets all history.
 
         Args:
             settings: All settings.
             width: Of the rendered region [px].
             height: Of the rendered region [px].
-            light_passes: Whether the light passes will be read.
+            light_passes: Names from LIGHT_PASSES (passes/composite.py) that will be read.
         """
         old = self._settings
         if same_frames(settings, old) and (width, height, light_passes) == (*self._size, self._light_passes):

@@ -18,16 +18,14 @@ from .settings import Integrator, RenderSettings
 
 __all__ = ["SceneFacts", "realtime_approximations", "scene_facts"]
 
-ROUGHNESS_DIFFUSE = 0.6
-"""Roughness from which a reflection is so blurred that diffuse light stands in for it (Eto et al. 2023, r_diffuse)"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class SceneFacts:
     """How many materials have what."""
 
-    reflective: int = 0
-    """Reflections sharper than ROUGHNESS_DIFFUSE"""
+    reflective: tuple[float, ...] = ()
+    """Roughness of each reflecting material's roughest lobe, 1 where it varies"""
+    anisotropic: int = 0
+    """Reflections stretched along a tangent"""
     refractive: int = 0
     """Refraction (glass, transmission)"""
     translucent: int = 0
@@ -36,11 +34,16 @@ class SceneFacts:
 
 def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
     """Return the facts about all materials in a scene."""
-    counts = {"reflective": 0, "refractive": 0, "translucent": 0}
+    counts = {"anisotropic": 0, "refractive": 0, "translucent": 0}
+    reflective = []
     for material in materials:
-        for fact in set(material_facts(material.program)):
+        facts = list(material_facts(material.program))
+        for fact in {fact for fact in facts if isinstance(fact, str)}:
             counts[fact] += 1
-    return SceneFacts(**counts)
+        lobes = [fact for fact in facts if isinstance(fact, float)]
+        if lobes:
+            reflective.append(max(lobes))
+    return SceneFacts(reflective=tuple(reflective), **counts)
 
 
 def realtime_approximations(settings: RenderSettings, facts: SceneFacts, aperture_radius: float) -> Report:
@@ -56,12 +59,17 @@ def realtime_approximations(settings: RenderSettings, facts: SceneFacts, apertur
     if settings.sampling.integrator != Integrator.REALTIME or settings.debug.view:
         return report
     until = rest_clause(settings)
-    if facts.reflective:
+    limit = settings.reflections.roughness_diffuse
+    rough = sum(roughness >= limit for roughness in facts.reflective)
+    if rough:
         report.add(ReportKind.APPROXIMATED, "",
-                   f"materials with a roughness below {ROUGHNESS_DIFFUSE:g} reflect their surroundings as diffuse light"
-                   f"{until}", facts.reflective)
+                   f"reflections of a roughness from {limit:.3g} on take diffuse light{until}", rough)
+    if facts.anisotropic:
+        report.add(ReportKind.APPROXIMATED, "", f"anisotropic reflections are drawn round{until}", facts.anisotropic)
     if facts.refractive:
-        report.add(ReportKind.APPROXIMATED, "", f"materials that refract are drawn as diffuse{until}", facts.refractive)
+        report.add(ReportKind.APPROXIMATED, "",
+                   f"refracted light is followed over at most {settings.reflections.bounces} more surfaces{until}",
+                   facts.refractive)
     if facts.translucent:
         report.add(ReportKind.APPROXIMATED, "",
                    f"translucent materials take indirect light from their front alone{until}", facts.translucent)
@@ -80,33 +88,38 @@ def rest_clause(settings: RenderSettings) -> str:
     return f" until the picture has rested for {denoiser.rest_frames} frames"
 
 
-def material_facts(program: Program) -> Iterator[str]:
-    """Yield the facts about one material: names of SceneFacts' fields, perhaps repeatedly."""
+def material_facts(program: Program) -> Iterator[str | float]:
+    """Yield the facts about one material: names of SceneFacts' counts, perhaps repeatedly, and lobes' roughness."""
     for kind, arguments in closures(program):
-        sharp = may_be(arguments[codes.ARG_ROUGHNESS], lambda value: value < ROUGHNESS_DIFFUSE)
+        roughness, stretched = arguments[codes.ARG_ROUGHNESS], arguments[codes.ARG_ANISOTROPIC]
         if kind == kernel_types.CLOSURE_TRANSLUCENT:
             yield "translucent"
         if kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION):
             yield "refractive"
-        if kind in (kernel_types.CLOSURE_GLOSSY, kernel_types.CLOSURE_GLASS) and sharp:
-            yield "reflective"
+        if kind in (kernel_types.CLOSURE_GLOSSY, kernel_types.CLOSURE_GLASS):
+            yield 1.0 if roughness is None else roughness
+        if kind == kernel_types.CLOSURE_GLOSSY and may_be(stretched, lambda value: value != 0.0):
+            yield "anisotropic"
         if kind == kernel_types.CLOSURE_PRINCIPLED:
-            yield from principled_facts(arguments, sharp)
+            yield from principled_facts(arguments)
 
 
-def principled_facts(arguments: list[float | None], sharp: bool) -> Iterator[str]:
+def principled_facts(arguments: list[float | None]) -> Iterator[str | float]:
     """Yield the facts about one Principled BSDF, whose arguments are numbers, or None where they vary."""
     def above_zero(slot: int) -> bool:
         return may_be(arguments[slot], lambda value: value > 0.0)
 
+    def roughness(slot: int) -> float:
+        return 1.0 if arguments[slot] is None else arguments[slot]
+
     transmits, thin = above_zero(codes.ARG_TRANSMISSION), above_zero(codes.ARG_THIN_WALL)
     ior = may_be(arguments[codes.ARG_IOR], lambda value: value != 1.0)
-    mirrors = above_zero(codes.ARG_METALLIC) or (above_zero(codes.ARG_SPECULAR_LEVEL) and ior)
-    if sharp and mirrors:
-        yield "reflective"
-    if above_zero(codes.ARG_COAT) and may_be(arguments[codes.ARG_COAT_ROUGHNESS],
-                                             lambda value: value < ROUGHNESS_DIFFUSE):
-        yield "reflective"
+    if above_zero(codes.ARG_METALLIC) or (above_zero(codes.ARG_SPECULAR_LEVEL) and ior):
+        yield roughness(codes.ARG_ROUGHNESS)
+        if above_zero(codes.ARG_ANISOTROPIC):
+            yield "anisotropic"
+    if above_zero(codes.ARG_COAT):
+        yield roughness(codes.ARG_COAT_ROUGHNESS)
     if transmits:
         yield "refractive"
     if thin and above_zero(codes.ARG_SUBSURFACE):

@@ -36,7 +36,7 @@ GEOMETRY_SAMPLES = 16
 
 PASSES = {
     "Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
-    "Object Index": 1, "Material Index": 1, "Diffuse Direct": 3, "Diffuse Indirect": 3, "Diffuse Color": 3,
+    "Object Index": 1, "Material Index": 1, **dict.fromkeys(LIGHT_PASSES, 3),
 }
 """Channels of each picture that read() gives."""
 
@@ -158,7 +158,8 @@ class Session:
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
                 self._realtime = self._realtime or Realtime(self.device)
-                self._realtime.configure(settings, crop[2], crop[3], any(name in LIGHT_PASSES for name in passes))
+                self._realtime.configure(
+                    settings, crop[2], crop[3], tuple(name for name in LIGHT_PASSES if name in passes))
                 if change & Change.RESTART:
                     self._realtime.note_camera()
             else:

@@ -24,6 +24,7 @@ __all__ = [
     "FilmSettings",
     "Integrator",
     "PixelFilter",
+    "Preset",
     "ProbeSettings",
     "ReflectionResolution",
     "ReflectionSettings",
@@ -76,6 +77,21 @@ class ReflectionResolution(enum.StrEnum):
     """Sixteen pixels take turns."""
 
 
+class Preset(enum.StrEnum):
+    """How much a real-time frame may cost; what each sets is in presets.py."""
+
+    CUSTOM = "custom"
+    """The settings as they are."""
+    DRAFT = "draft"
+    """A quarter of the probes' and reflections' rays: for slow devices and large pictures."""
+    BALANCED = "balanced"
+    """The defaults."""
+    FINE = "fine"
+    """Four times the probes and reflection rays, smaller cells: for fast devices and final renders."""
+    PAPER = "paper"
+    """The constants of Eto et al. 2023 and GI-1.0 with every mend switched off: for study."""
+
+
 class PixelFilter(enum.StrEnum):
     """Reconstruction filter over a pixel's samples."""
 
@@ -123,6 +139,8 @@ class SamplingSettings:
     viewport_samples: int = setting(
         1024, "Samples per pixel, or frames, after which a viewport in which nothing moves rests (0: never)", low=0,
         high=1 << 24, soft_high=4096)
+    viewport_preset: Preset = setting(
+        Preset.CUSTOM, "Preset of viewports with the realtime integrator, instead of the settings of the final render")
     time_limit: float = setting(0.0, "Stop a final render after this time (0: no limit)", low=0.0, high=1e9,
                                 soft_high=3600.0, unit="s")
     seed: int = setting(0, "Seed of the random numbers: the same seed gives the same picture", low=0,
@@ -330,6 +348,9 @@ class DenoiserSettings:
         "and reflections earlier", low=0, high=1 << 20, unit="frames")
     path_traced_rest: bool = setting(
         True, "Go over to path tracing at rest, so that the picture becomes exact. Off: the filtered picture stays")
+    final_denoise: bool = setting(
+        False, "Run Open Image Denoise of Blender over the combined pass of final renders: smooth pictures from few "
+        "samples for a second or so, and a loss of fine texture")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,13 +15,19 @@ import numpy as np
 import warp as wp
 
 from ..kernels.flatten import collapse_vertices, flatten_vertices
+from ..kernels.types import Scene
 from .geometry_store import GeometryStore, MeshRange
 from .scene import Key
 
-__all__ = ["InstancePlan", "Structures"]
+__all__ = ["InstancePlan", "Structures", "is_flat"]
 
 # Below this many flattened triangles two levels are not worth their slower rays.
 ALWAYS_FLATTEN = 1 << 20
+
+
+def is_flat(scene: Scene) -> bool:
+    """Return whether all of a scene's triangles are flattened: kernels of flat_tracing.py are enough then."""
+    return int(scene.geometry.instance_bvh) == 0
 
 
 @dataclass

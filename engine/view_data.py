@@ -10,8 +10,9 @@ from ..kernels.view import View
 
 __all__ = ["ViewTracker"]
 
-# Additive recurrence of the plastic number: two dimensions that stay even however long it runs (Roberts 2018, "R2").
-R2 = np.array([0.7548776662466927, 0.5698402909980532])
+# Additive recurrence in two dimensions that stays even, and whose every 4th and 16th members do too: the pixels of a
+# block take turns at their reflection rays. (Roberts' R2 of 2018 does not: four of its steps are nearly three pixels.)
+JITTER_STEP = np.array([0.3869559942791564, 0.2936447304581302])
 
 LONG_AGO = 1 << 20
 """Frames since an edit that is no more felt."""
@@ -62,7 +63,7 @@ class ViewTracker:
         self.light_age = 0 if lit and not first else min(self.light_age + 1, LONG_AGO)
         jitter = np.zeros(2, np.float32)
         if filter_quantiles is not None:
-            u = (0.5 + R2 * self.frame) % 1.0
+            u = (0.5 + JITTER_STEP * self.frame) % 1.0
             jitter = np.interp(u, np.linspace(0.0, 1.0, len(filter_quantiles)), filter_quantiles).astype(np.float32)
         row = self.row
         row["camera"] = camera

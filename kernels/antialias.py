@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from .packing import from_half
-from .view import View, settling_frames
+from .packed_halves import unpack_halves
+from .packing import unpack_floats
+from .view import View, settled_length
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Frames that the history counts as in motion: the weight of a new frame falls to 0.1.
 MOTION_SAMPLES = wp.constant(9.0)
@@ -27,11 +28,6 @@ FIRST_REST_SAMPLES = wp.constant(4.0)
 # Frames after an edit of lights during which the history weighs at most half.
 LIGHT_EDIT_FRAMES = wp.constant(12)
 
-# While light spreads (a bounce takes a frame), the share of the frames since then that the history counts as, and the
-# frames for which that goes on: the first are too dark.
-SETTLING_SHARE = wp.constant(0.3)
-SETTLING_FRAMES = wp.constant(64.0)
-
 # Half the size of the box around the neighbourhood's mean, in standard deviations.
 CLIP_DEVIATIONS = wp.constant(1.25)
 
@@ -39,9 +35,15 @@ CLIP_DEVIATIONS = wp.constant(1.25)
 FIREFLY_LUMA = wp.constant(2.0)
 
 LANCZOS_SHARE = wp.constant(0.8)
+
+# Up to this distance [px] Lanczos-3 is its series' first two terms, to 2e-6: the quotient of small sines errs more.
+SERIES_REACH = wp.constant(0.03)
+LANCZOS_CURVATURE = wp.constant(1.8277045)
 SAMPLES_MAX = wp.constant(65535.0)
 
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
+ColorWords = wp.types.vector(length=2, dtype=wp.uint64)
+"""A vec4, as which it is loaded in two steps instead of four"""
 
 
 @wp.struct
@@ -94,9 +96,8 @@ def kernel_weight(x: float) -> float:
         cubic = (1.5 * d - 2.5) * d * d + 1.0
     elif d < 2.0:
         cubic = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
-    lanczos = float(1.0)
-    # Below this the product of sines is 1 to float precision, and 0 / 0 is near.
-    if d > 1.0e-3:
+    lanczos = 1.0 - LANCZOS_CURVATURE * d * d
+    if d > SERIES_REACH:
         y = 3.14159265 * d
         lanczos = wp.where(d < 3.0, 3.0 * wp.sin(y) * wp.sin(y / 3.0) / (y * y), 0.0)
     return wp.lerp(cubic, lanczos, LANCZOS_SHARE)
@@ -114,16 +115,25 @@ def kernel_weights(t: float) -> vec6:
 
 
 @wp.func
-def resample_row(image: wp.array[wp.vec4], row: int, x: int, last: int, w: vec6) -> wp.vec4:
+def load_color(image: wp.array[ColorWords], pixel: int) -> wp.vec4:
+    """Return a colour."""
+    words = image[pixel]
+    a = unpack_floats(words[0])
+    b = unpack_floats(words[1])
+    return wp.vec4(a[0], a[1], b[0], b[1])
+
+
+@wp.func
+def resample_row(image: wp.array[ColorWords], row: int, x: int, last: int, w: vec6) -> wp.vec4:
     """Return the weighted sum of six pixels of a row, x - 2 .. x + 3; the edge pixel repeats."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(6):
-        total += image[row + wp.clamp(x + i - 2, 0, last)] * w[i]
+        total += load_color(image, row + wp.clamp(x + i - 2, 0, last)) * w[i]
     return total
 
 
 @wp.func
-def resample(image: wp.array[wp.vec4], position: wp.vec2, width: int, height: int) -> wp.vec4:
+def resample(image: wp.array[ColorWords], position: wp.vec2, width: int, height: int) -> wp.vec4:
     """Return the image at a position [px]; the 28 taps that matter of 6x6."""
     px = position[0] - 0.5
     py = position[1] - 0.5
@@ -131,7 +141,8 @@ def resample(image: wp.array[wp.vec4], position: wp.vec2, width: int, height: in
     near_x = wp.round(px)
     near_y = wp.round(py)
     if wp.abs(px - near_x) < 1.0e-3 and wp.abs(py - near_y) < 1.0e-3:
-        return image[wp.clamp(int(near_y), 0, height - 1) * width + wp.clamp(int(near_x), 0, width - 1)]
+        return load_color(
+            image, wp.clamp(int(near_y), 0, height - 1) * width + wp.clamp(int(near_x), 0, width - 1))
     x = int(wp.floor(px))
     y = int(wp.floor(py))
     wx = kernel_weights(px - float(x))
@@ -143,15 +154,15 @@ def resample(image: wp.array[wp.vec4], position: wp.vec2, width: int, height: in
         total += resample_row(image, wp.clamp(y + j - 1, 0, height - 1) * width, x, width - 1, wx) * wy[j + 1]
     below = wp.clamp(y - 2, 0, height - 1) * width
     above = wp.clamp(y + 3, 0, height - 1) * width
-    total += (image[below + x0] * wx[2] + image[below + x1] * wx[3]) * wy[0]
-    total += (image[above + x0] * wx[2] + image[above + x1] * wx[3]) * wy[5]
+    total += (load_color(image, below + x0) * wx[2] + load_color(image, below + x1) * wx[3]) * wy[0]
+    total += (load_color(image, above + x0) * wx[2] + load_color(image, above + x1) * wx[3]) * wy[5]
     # What the eight taps left out would have weighed.
     return total / (1.0 - (1.0 - wx[2] - wx[3]) * (wy[0] + wy[5]))
 
 
 @wp.func
 def gather_neighborhood(
-    color: wp.array[wp.vec4h], depth: wp.array[float], x: int, y: int, width: int, height: int,
+    color: wp.array[wp.uint64], depth: wp.array[float], x: int, y: int, width: int, height: int,
 ) -> Neighborhood:
     """Gather the statistics of the 3x3 pixels around one."""
     n = Neighborhood()
@@ -162,7 +173,7 @@ def gather_neighborhood(
         dx = k % 3 - 1
         dy = k // 3 - 1
         pixel = wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)
-        v = to_ycocg(from_half(color[pixel]))
+        v = to_ycocg(unpack_halves(color[pixel]))
         total += v
         squares += wp.cw_mul(v, v)
         if depth[pixel] < depth[nearest]:
@@ -184,7 +195,7 @@ def firefly_weight(c: wp.vec4) -> float:
 
 @wp.func
 def filter_frame(
-    color: wp.array[wp.vec4h], jitter: wp.vec2, x: int, y: int, width: int, height: int,
+    color: wp.array[wp.uint64], jitter: wp.vec2, x: int, y: int, width: int, height: int,
 ) -> wp.vec4:
     """Return this frame's samples around a pixel's centre, weighed by their distance: the filter without history."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -192,7 +203,7 @@ def filter_frame(
     for k in range(9):
         dx = k % 3 - 1
         dy = k // 3 - 1
-        c = from_half(color[wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)])
+        c = unpack_halves(color[wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)])
         offset = wp.vec2(float(dx), float(dy)) + jitter
         # A Gaussian of 0.45 px is as wide as the usual pixel filters.
         w = wp.exp(-2.5 * wp.dot(offset, offset)) * firefly_weight(c)
@@ -200,7 +211,7 @@ def filter_frame(
         weights += w
     # A jitter far outside of the pixel leaves next to no weight: the nearest sample is the pixel's own, then.
     if weights < 1.0e-6:
-        return from_half(color[y * width + x])
+        return unpack_halves(color[y * width + x])
     return total / weights
 
 
@@ -226,10 +237,7 @@ def clamp_color(c: wp.vec4) -> wp.vec4:
 @wp.func
 def history_limit(view: View) -> float:
     """Return as how many frames the history may count, for how long light has been spreading."""
-    limit = float(SAMPLES_MAX)
-    settling = settling_frames(view)
-    if settling < SETTLING_FRAMES:
-        limit = SETTLING_SHARE * settling
+    limit = wp.min(float(SAMPLES_MAX), settled_length(view))
     if view.light_age < LIGHT_EDIT_FRAMES:
         limit = wp.min(limit, 1.0)
     return limit
@@ -240,21 +248,25 @@ def antialias(
     first: int,
     # In:
     views: wp.array[View],
-    color: wp.array[wp.vec4h],
+    color: wp.array[wp.uint64],
     depth: wp.array[float],
     position: wp.array[wp.vec2],
     taps: wp.array[wp.uint8],
     previous: Accumulation,
+    history_words: wp.array[ColorWords],
     width: int,
     height: int,
     enabled: int,
     # Out:
     accumulation_out: Accumulation,
 ):
-    """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written."""
+    """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written.
+
+    `color` is pack_halves of colours; `history_words` are those of `previous`.
+    """
     pixel = first + wp.tid()
     rest = views[0].rest
-    current = from_half(color[pixel])
+    current = unpack_halves(color[pixel])
     mean = current
     samples = float(0.0)
     if enabled == 1 and views[0].restart == 0:
@@ -276,7 +288,7 @@ def antialias(
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(views[0]))
-                history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
+                history = clamp_color(rectify(clamp_color(resample(history_words, p, width, height)), n))
                 w_new = firefly_weight(current)
                 w_old = firefly_weight(history) * samples
                 mean = (current * w_new + history * w_old) / (w_new + w_old)

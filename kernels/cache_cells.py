@@ -45,13 +45,13 @@ COUNTERS = wp.constant(8)
 
 PURGE_SHARE = wp.constant(8)
 """Frames in which all cells' ages are looked at once"""
-REBALANCE_FRAMES = wp.constant(24)
+REBALANCE_FRAMES = wp.constant(128)
 REBALANCE_MAX = wp.constant(4.0)
 SAMPLES_MAX = wp.constant(4096.0)
 
 # Frames after a change for which the mean of indirect light reaches back less far than this many times: what cells
 # know of each other's light is a mean of what they knew before, which converges only if the past is left behind.
-AGE_SHARE = wp.constant(0.25)
+AGE_SHARE = wp.constant(0.06)
 
 
 @wp.struct

@@ -89,8 +89,8 @@ def store_surface(
 ):
     """Store what is known of a hit; `weight` is what layers before it let through, `share` that of its emission."""
     # Refracted light comes from the other side like that of the translucent lobe.
-    behind = sane(albedo.translucent + albedo.specular - albedo.reflected)
-    total = sane(albedo.diffuse + albedo.reflected) + behind
+    behind = sane(albedo.translucent + albedo.transmitted)
+    total = sane(albedo.diffuse + albedo.specular) + behind
     through = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
     reflectance = sane(wp.cw_mul(total, weight))
     vertices.reflectance[slot] = wp.vec4(reflectance[0], reflectance[1], reflectance[2], through)

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compaction of the queue of living paths (CUDA only: its atomic append must be one launch, never bands)."""
+"""Lists of the paths, rays and pixels that need more work (CUDA only: an atomic append must be one launch, no bands).
+
+Their order does not matter to any picture.
+"""
 
 from __future__ import annotations
 
 import warp as wp
 
-from .paths import ENDED
+from .intersect import MISS
+from .paths import ENDED, Paths
+from .pixel_order import pixel_in_blocks
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -19,7 +24,67 @@ def append_living(
     queue_out: wp.array[int],
     count_out: wp.array[int],
 ):
-    """Append the paths that go on to the next queue; their order does not matter to any picture."""
+    """Append the paths that go on to the next queue."""
     path = queue[wp.tid()]
     if state[path] != ENDED:
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_layered_paths(
+    # In:
+    paths: Paths,
+    offset: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the paths, from slot `offset` on, that a triangle that needs a test stands in the way of."""
+    path = offset + wp.tid()
+    if paths.state[path] != ENDED and paths.layer[path][0] != MISS:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_layered_shadows(
+    # In:
+    paths: Paths,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the shadow rays that a triangle that needs a test stands in the way of."""
+    path = wp.tid()
+    if paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_unfilled(
+    # In:
+    irradiance: wp.array[wp.vec4h],
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the pixels for which interpolate_probes has found no probe (probe_interpolate.UNFILLED)."""
+    pixel = wp.tid()
+    if float(irradiance[pixel][3]) < 0.0:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
+
+
+@wp.kernel
+def append_layered_pixels(
+    # In:
+    layer: wp.array[wp.vec2i],
+    width: int,
+    height: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the pixels that show a triangle that needs a test (PrimaryHits.layer), in the order of pixel_in_blocks."""
+    pixel = pixel_in_blocks(wp.tid(), width, height)
+    if pixel >= 0:
+        if layer[pixel][0] != MISS:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel

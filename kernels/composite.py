@@ -1,28 +1,57 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The composite: emission, direct and indirect light with the surfaces' colours; and Blender's diffuse light passes."""
+"""The composite: emission, direct and indirect light with the surfaces' colours; and Blender's light passes."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from .gbuffer import GBuffer, load_material
-from .geometry_math import is_finite3
+from .gbuffer import GBuffer, SurfaceMaterial, load_material
+from .geometry_math import is_finite3, max_component
+from .long_mean import unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
+from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
 from .view import SKY_DEPTH, View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
+# Which lobe a light pass tells of.
+PASS_DIFFUSE = wp.constant(0)
+PASS_GLOSSY = wp.constant(1)
+PASS_TRANSMISSION = wp.constant(2)
+
+
+@wp.struct
+class Lights:
+    """What reaches the surfaces, without their colours; exposed. One entry a pixel, row by row."""
+
+    direct_diffuse: wp.array[wp.vec4h]
+    direct_specular: wp.array[wp.vec4h]
+    irradiance: wp.array[wp.vec4h]
+    """Diffuse indirect light: irradiance / pi"""
+    specular_ratio: wp.array[wp.float16]
+    """What a rough reflection gets, by `irradiance`"""
+    reflection: wp.array[wp.uint64]
+    """pack_mean of what reflections show of indirect light: times GBuffer.specular it leaves the surface"""
+    transmission: wp.array[wp.uint64]
+    """The same of light that arrives through glass, times GBuffer.transmitted"""
+    has_reflection: int
+    """0: `reflection` is not there, and the irradiance stands in for it"""
+    has_transmission: int
+    options: ReflectionOptions
+    """Of `reflection`: which surfaces have it"""
+
+
 @wp.struct
 class LightPasses:
-    """Sums over frames at rest, one entry a pixel: divided by each other they are Blender's light passes."""
+    """Sums over frames at rest, one entry a pixel: divided by each other they are Blender's passes of one lobe."""
 
     direct: wp.array[wp.vec3]
-    """Sum of diffuse albedo * direct diffuse light, exposed"""
+    """Sum of albedo * direct light, exposed"""
     indirect: wp.array[wp.vec3]
-    """Sum of diffuse albedo * indirect diffuse light, exposed"""
+    """Sum of albedo * indirect light, exposed"""
     albedo: wp.array[wp.vec4]
-    """Sum of the diffuse albedo; w = frames"""
+    """Sum of the albedo; w = frames"""
 
 
 @wp.struct
@@ -31,12 +60,16 @@ class LightShares:
 
     emission: wp.vec4
     """w = alpha"""
-    albedo: wp.vec3
+    diffuse_albedo: wp.vec3
     """Of diffuse reflection and transmission together"""
+    specular_albedo: wp.vec3
+    transmitted_albedo: wp.vec3
     diffuse_direct: wp.vec3
     diffuse_indirect: wp.vec3
     specular_direct: wp.vec3
     specular_indirect: wp.vec3
+    transmitted: wp.vec3
+    """All light that arrives through glass"""
 
 
 @wp.func
@@ -68,11 +101,39 @@ def seen_share(gbuffer: GBuffer, pixel: int) -> float:
 
 
 @wp.func
-def light_shares(
-    gbuffer: GBuffer, direct_diffuse: wp.array[wp.vec4h], direct_specular: wp.array[wp.vec4h],
-    irradiance: wp.array[wp.vec4h], specular_ratio: wp.array[wp.float16], pixel: int,
-) -> LightShares:
-    """Multiply a pixel's demodulated light by the surface's colours; a reflection lobe gets `specular_ratio` of it."""
+def reflected_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pixel: int) -> wp.vec3:
+    """Return the indirect light that a surface reflects, without its colour.
+
+    From the roughness on where the reflection has no samples it is the irradiance, by the share of it that the lobe
+    gets. A sharp coat on a rough base has samples of both together (specular_lobes.py): they count for both.
+    """
+    ratio = float(lights.specular_ratio[pixel])
+    if not wp.isfinite(ratio):
+        ratio = 1.0
+    light = irradiance * ratio
+    if lights.has_reflection == 1:
+        if is_sampled(lights.options, m):
+            roughness = m.roughness
+            if m.coat > REFLECTANCE_MIN:
+                roughness = wp.min(roughness, m.coat_roughness)
+            # What unpack_mean returns is never negative and always finite.
+            light = wp.lerp(
+                light, unpack_mean(lights.reflection[pixel]), sampled_share(lights.options, roughness))
+    return light
+
+
+@wp.func
+def transmitted_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pixel: int) -> wp.vec3:
+    """Return the light that arrives through glass, without the surface's colour; the irradiance stands in for it."""
+    if lights.has_transmission == 1:
+        if max_component(m.transmitted) > REFLECTANCE_MIN:
+            return unpack_mean(lights.transmission[pixel])
+    return irradiance
+
+
+@wp.func
+def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
+    """Multiply a pixel's demodulated light by the surface's colours."""
     s = LightShares()
     none = wp.vec3(0.0, 0.0, 0.0)
     e = from_half(gbuffer.emission[pixel])
@@ -83,22 +144,26 @@ def light_shares(
     if wp.isfinite(e[3]):
         alpha = wp.clamp(e[3], 0.0, 1.0)
     s.emission = rgba(emitted, alpha)
-    s.albedo = none
+    s.diffuse_albedo = none
+    s.specular_albedo = none
+    s.transmitted_albedo = none
     s.diffuse_direct = none
     s.diffuse_indirect = none
     s.specular_direct = none
     s.specular_indirect = none
+    s.transmitted = none
     if gbuffer.depth[pixel] < SKY_DEPTH:
         m = load_material(gbuffer, pixel)
-        indirect = light_or_none(irradiance[pixel]) * seen_share(gbuffer, pixel)
-        s.albedo = m.diffuse + m.translucent
-        s.diffuse_direct = wp.cw_mul(s.albedo, light_or_none(direct_diffuse[pixel]))
-        s.diffuse_indirect = wp.cw_mul(s.albedo, indirect)
-        s.specular_direct = wp.cw_mul(m.specular, light_or_none(direct_specular[pixel]))
-        ratio = float(specular_ratio[pixel])
-        if not wp.isfinite(ratio):
-            ratio = 1.0
-        s.specular_indirect = wp.cw_mul(m.specular, indirect) * ratio
+        indirect = light_or_none(lights.irradiance[pixel]) * seen_share(gbuffer, pixel)
+        s.diffuse_albedo = m.diffuse + m.translucent
+        s.specular_albedo = m.specular
+        s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(lights.direct_diffuse[pixel]))
+        s.diffuse_indirect = wp.cw_mul(s.diffuse_albedo, indirect)
+        s.specular_direct = wp.cw_mul(m.specular, light_or_none(lights.direct_specular[pixel]))
+        s.specular_indirect = wp.cw_mul(m.specular, reflected_light(lights, m, indirect, pixel))
+        if max_component(m.transmitted) > 0.0:
+            s.transmitted_albedo = m.transmitted
+            s.transmitted = wp.cw_mul(m.transmitted, transmitted_light(lights, m, indirect, pixel))
     return s
 
 
@@ -108,17 +173,15 @@ def compose(
     # In:
     views: wp.array[View],
     gbuffer: GBuffer,
-    direct_diffuse: wp.array[wp.vec4h],
-    direct_specular: wp.array[wp.vec4h],
-    irradiance: wp.array[wp.vec4h],
-    specular_ratio: wp.array[wp.float16],
+    lights: Lights,
     # Out:
     color_out: wp.array[wp.vec4h],
 ):
-    """Add up what each pixel shows; 70 bytes read and 8 written a pixel."""
+    """Add up what each pixel shows; 70 bytes read and 8 written a pixel, and 8 read for each image of samples."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, specular_ratio, pixel)
+    s = light_shares(gbuffer, lights, pixel)
     c = rgb(s.emission) + s.diffuse_direct + s.diffuse_indirect + s.specular_direct + s.specular_indirect
+    c += s.transmitted
     # Rounding of spherical harmonics may leave light slightly negative.
     c = wp.vec3(wp.clamp(c[0], 0.0, HALF_MAX), wp.clamp(c[1], 0.0, HALF_MAX), wp.clamp(c[2], 0.0, HALF_MAX))
     alpha = wp.where(views[0].transparent == 1, s.emission[3], 1.0)
@@ -131,25 +194,33 @@ def accumulate_light_passes(
     # In:
     views: wp.array[View],
     gbuffer: GBuffer,
-    direct_diffuse: wp.array[wp.vec4h],
-    irradiance: wp.array[wp.vec4h],
-    specular_ratio: wp.array[wp.float16],
+    lights: Lights,
+    lobe: int,
     # Out:
     passes_out: LightPasses,
 ):
-    """Add this frame's diffuse light to the sums; while something moves they hold this frame alone."""
+    """Add this frame's light of one lobe (PASS_*) to the sums; while something moves they hold this frame alone."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_diffuse, irradiance, specular_ratio, pixel)
+    s = light_shares(gbuffer, lights, pixel)
     direct = s.diffuse_direct
     indirect = s.diffuse_indirect
-    albedo = rgba(s.albedo, 1.0)
+    albedo = s.diffuse_albedo
+    if lobe == PASS_GLOSSY:
+        direct = s.specular_direct
+        indirect = s.specular_indirect
+        albedo = s.specular_albedo
+    if lobe == PASS_TRANSMISSION:
+        direct = wp.vec3(0.0, 0.0, 0.0)
+        indirect = s.transmitted
+        albedo = s.transmitted_albedo
+    sum = rgba(albedo, 1.0)
     if views[0].rest > 0:
         direct += passes_out.direct[pixel]
         indirect += passes_out.indirect[pixel]
-        albedo += passes_out.albedo[pixel]
+        sum += passes_out.albedo[pixel]
     passes_out.direct[pixel] = direct
     passes_out.indirect[pixel] = indirect
-    passes_out.albedo[pixel] = albedo
+    passes_out.albedo[pixel] = sum
 
 
 @wp.func
@@ -172,7 +243,7 @@ def resolve_light_passes(
     indirect_out: wp.array[wp.vec3],
     color_out: wp.array[wp.vec3],
 ):
-    """Turn sums into Blender's passes: (direct + indirect) * color is the diffuse light of the picture."""
+    """Turn sums into Blender's passes: (direct + indirect) * color is the lobe's light in the picture."""
     pixel = first + wp.tid()
     a = passes.albedo[pixel]
     direct_out[pixel] = divide_light(passes.direct[pixel], rgb(a))

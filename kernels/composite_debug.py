@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .composite import light_shares
+from .composite import Lights, light_shares
 from .debug_colors import heat
 from .gbuffer import GBuffer
 from .packing import rgb, rgba
@@ -14,6 +14,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 SHOW_DIRECT = wp.constant(0)
 SHOW_INDIRECT = wp.constant(1)
+SHOW_REFLECTION = wp.constant(2)
 
 # Frames at rest for which the ramp of the history view is white.
 HISTORY_WHITE = wp.constant(256.0)
@@ -24,20 +25,19 @@ def show_light(
     first: int,
     # In:
     gbuffer: GBuffer,
-    direct_diffuse: wp.array[wp.vec4h],
-    direct_specular: wp.array[wp.vec4h],
-    irradiance: wp.array[wp.vec4h],
-    specular_ratio: wp.array[wp.float16],
+    lights: Lights,
     what: int,
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
-    """Draw the direct light and emission, or the indirect light, of this frame alone."""
+    """Draw the direct light and emission, all indirect light or its reflection alone, of this frame (SHOW_*)."""
     pixel = first + wp.tid()
-    s = light_shares(gbuffer, direct_diffuse, direct_specular, irradiance, specular_ratio, pixel)
+    s = light_shares(gbuffer, lights, pixel)
     c = rgb(s.emission) + s.diffuse_direct + s.specular_direct
     if what == SHOW_INDIRECT:
-        c = s.diffuse_indirect + s.specular_indirect
+        c = s.diffuse_indirect + s.specular_indirect + s.transmitted
+    if what == SHOW_REFLECTION:
+        c = s.specular_indirect
     picture_out[pixel] = rgba(c, 1.0)
 
 

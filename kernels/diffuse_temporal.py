@@ -28,7 +28,7 @@ from .long_mean import (
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
 from .reprojection import Reprojection, has_tap, tap_pixel
-from .view import SKY_DEPTH, View, settling_frames
+from .view import SKY_DEPTH, View, settled_length
 
 # Fast: means and weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -42,8 +42,6 @@ CHANGE_DEVIATIONS = wp.constant(2.0)
 CHANGING_DEVIATIONS = wp.constant(0.5)
 # Frames that the deviation is averaged over at most: more would be lost in a half-float's rounding.
 DEVIATION_FRAMES = wp.constant(256.0)
-# Of the frames since light began to spread, those that a mean may reach back: the first lack most of its bounces.
-SETTLING_SHARE = wp.constant(0.5)
 # Confidence below which light does not replace the light from before an edit all the faster.
 CONFIDENCE_MINIMUM = wp.constant(0.1)
 
@@ -224,7 +222,7 @@ def accumulate_diffuse(
         if is_finite3(rgb(new)) and wp.isfinite(new[3]):
             light = wp.max(rgb(new), wp.vec3(0.0, 0.0, 0.0))
             cap = wp.min(
-                history_cap(view.rest, view.light_age, frames), 1.0 + SETTLING_SHARE * settling_frames(view))
+                history_cap(view.rest, view.light_age, frames), 1.0 + settled_length(view))
             confidence = wp.clamp(new[3], 0.0, 1.0)
             cap = wp.max(cap, 1.0)
             if view.light_age < EDIT_FRAMES:

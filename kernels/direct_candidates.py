@@ -102,7 +102,7 @@ def draw_candidates(
             wp.vec2(fraction(place[0] + step * STEP_X), fraction(place[1] + step * STEP_Y)))
         if choice.chance > 0.0:
             s = replay(scene, split, emitters, p.position, choice.candidate)
-            here = target(p, s, scene.luminance)
+            here = target(options, p, s, scene.luminance)
             weight = here / choice.chance
             if weight > 0.0:
                 total = total + weight
@@ -160,7 +160,7 @@ def resample_lights(
     if has_sample(view, options, slot):
         surface = load_surface(view, gbuffer, options.width, pixel)
         if has_surface(surface):
-            p = load_receiver(view, gbuffer, surface, pixel, scene.luminance)
+            p = load_receiver(view, gbuffer, options, surface, pixel, scene.luminance)
             r = draw_candidates(
                 scene, split, options, emitters, p, seed_of(view, options, pixel), wp.uint32(view.frame))
         lent_out[pixel] = r.lent
@@ -200,19 +200,19 @@ def choose_tap(
 
 @wp.func
 def join(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], p: Receiver, q: Receiver, now: Reservoir,
-    before: Reservoir, random: float,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, p: Receiver,
+    q: Receiver, now: Reservoir, before: Reservoir, random: float,
 ) -> Reservoir:
     """Join this frame's reservoir at `p` with one of the frame before at `q`."""
-    here = target_of(scene, split, emitters, p, now.candidate)
+    here = target_of(scene, split, emitters, options, p, now.candidate)
     now_weight = float(0.0)
     if here > 0.0:
-        there = target_of(scene, split, emitters, q, now.candidate)
+        there = target_of(scene, split, emitters, options, q, now.candidate)
         now_weight = now.count * here / (now.count * here + before.count * there) * here * now.weight
-    carried = target_of(scene, split, emitters, p, before.candidate)
+    carried = target_of(scene, split, emitters, options, p, before.candidate)
     before_weight = float(0.0)
     if carried > 0.0 and before.weight > 0.0:
-        there = target_of(scene, split, emitters, q, before.candidate)
+        there = target_of(scene, split, emitters, options, q, before.candidate)
         before_weight = before.count * there / (now.count * carried + before.count * there) * carried * before.weight
     total = now_weight + before_weight
     r = Reservoir()
@@ -263,10 +263,10 @@ def reuse_lights(
         return
     before = load_reservoir(previous, q)
     before.count = wp.min(before.count, cap)
-    p = load_receiver(view, gbuffer, surface, pixel, scene.luminance)
-    other = load_previous_receiver(view, previous_gbuffer, options.width, q, scene.luminance)
+    p = load_receiver(view, gbuffer, options, surface, pixel, scene.luminance)
+    other = load_previous_receiver(view, previous_gbuffer, options, q, scene.luminance)
     r = join(
-        scene, split, emitters, p, other, load_reservoir(reservoirs_out, pixel), before,
+        scene, split, emitters, options, p, other, load_reservoir(reservoirs_out, pixel), before,
         hashed_unit(noise, wp.uint32(1)))
     store_reservoir(reservoirs_out, pixel, r)
     lent_out[pixel] = r.lent

@@ -12,10 +12,12 @@ import warp as wp
 
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_previous_surface
-from .geometry_math import INV_PI, is_finite3, luminance, max_component, sqr
+from .geometry_math import INV_PI, is_finite3, luminance, max_component, mean_component, sqr
 from .light_candidate import Candidate, replay
 from .lights import LightSample
-from .specular_lobes import surface_alpha
+from .reflection_lights import is_singular, light_part, light_side_share, sample_roughness, shown_zone
+from .reflection_types import ReflectionOptions
+from .specular_lobes import lobes_pdf, specular_lobes, surface_alpha
 from .surface_brdf import evaluate_brdf
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene
 from .view import View, direction_to_eye
@@ -47,6 +49,10 @@ class DirectOptions:
     """1: every other pixel borrows a neighbour's sample while something moves"""
     full: int
     """1: triangles that need a test may be in the way, or radiance of lights may be a program"""
+    rays: int
+    """1: traced reflections bring their share of lights (reflection_lights.py)"""
+    reflection: ReflectionOptions
+    """Which are traced"""
 
 
 @wp.struct
@@ -92,7 +98,13 @@ class Receiver:
     transmitted: float
     f0: float
     f90: float
-    alpha: float
+    roughness: float
+    coat: float
+    coat_roughness: float
+    coat_share: float
+    """Of the coat in the density of reflection rays"""
+    zone: float
+    """reflection_lights.shown_zone; 0 without reflection rays"""
 
 
 @wp.struct
@@ -160,7 +172,8 @@ def share_of(part: float, whole: float) -> float:
     return wp.where(whole > 0.0, part / wp.max(whole, 1.0e-30), 1.0)
 
 
-# Samples of a light seldom meet a sharper lobe, which would be sparks; path tracing shows it at rest.
+# Where no reflection rays help, samples of a light seldom meet a sharper lobe, which would be sparks; path tracing
+# shows it at rest.
 LEAST_ROUGHNESS = wp.constant(0.15)
 
 
@@ -175,13 +188,14 @@ def load_lit(view: View, gbuffer: GBuffer, surface: Surface, pixel: int) -> LitS
     p.material.diffuse = wp.vec3(
         share_of(diffuse[0], albedo[0]), share_of(diffuse[1], albedo[1]), share_of(diffuse[2], albedo[2]))
     p.material.translucent = wp.vec3(1.0, 1.0, 1.0) - p.material.diffuse
-    p.material.roughness = wp.max(p.material.roughness, LEAST_ROUGHNESS)
     p.wo = direction_to_eye(view.camera, surface.position)
     return p
 
 
 @wp.func
-def make_receiver(surface: Surface, material: SurfaceMaterial, wo: wp.vec3, weights: wp.vec3) -> Receiver:
+def make_receiver(
+    options: DirectOptions, surface: Surface, material: SurfaceMaterial, wo: wp.vec3, weights: wp.vec3,
+) -> Receiver:
     """Return what the target needs."""
     floor = wp.vec3(ALBEDO_FLOOR, ALBEDO_FLOOR, ALBEDO_FLOOR)
     p = Receiver()
@@ -195,26 +209,39 @@ def make_receiver(surface: Surface, material: SurfaceMaterial, wo: wp.vec3, weig
         p.transmitted = luminance(wp.max(material.translucent, floor), weights)
     p.f0 = 0.0
     p.f90 = 0.0
+    p.roughness = material.roughness
+    p.coat = 0.0
+    p.coat_roughness = material.coat_roughness
+    p.coat_share = 0.0
+    p.zone = 0.0
     if max_component(material.specular) > SPECULAR_MIN:
         p.f0 = luminance(material.f0, weights)
         p.f90 = material.f90
-    p.alpha = surface_alpha(material.roughness)
+        if material.coat > SPECULAR_MIN:
+            p.coat = material.coat
+            p.coat_share = wp.clamp(material.coat / wp.max(mean_component(material.specular), 1.0e-6), 0.0, 1.0)
+        if options.rays == 1:
+            p.zone = shown_zone(options.reflection, material)
     return p
 
 
 @wp.func
-def load_receiver(view: View, gbuffer: GBuffer, surface: Surface, pixel: int, weights: wp.vec3) -> Receiver:
+def load_receiver(
+    view: View, gbuffer: GBuffer, options: DirectOptions, surface: Surface, pixel: int, weights: wp.vec3,
+) -> Receiver:
     """Return a pixel of this frame."""
     return make_receiver(
-        surface, load_material(gbuffer, pixel), direction_to_eye(view.camera, surface.position), weights)
+        options, surface, load_material(gbuffer, pixel), direction_to_eye(view.camera, surface.position), weights)
 
 
 @wp.func
-def load_previous_receiver(view: View, gbuffer: GBuffer, width: int, pixel: int, weights: wp.vec3) -> Receiver:
+def load_previous_receiver(
+    view: View, gbuffer: GBuffer, options: DirectOptions, pixel: int, weights: wp.vec3,
+) -> Receiver:
     """Return a pixel of the frame before."""
-    surface = load_previous_surface(view, gbuffer, width, pixel)
+    surface = load_previous_surface(view, gbuffer, options.width, pixel)
     return make_receiver(
-        surface, load_material(gbuffer, pixel), direction_to_eye(view.previous, surface.position), weights)
+        options, surface, load_material(gbuffer, pixel), direction_to_eye(view.previous, surface.position), weights)
 
 
 @wp.func
@@ -227,42 +254,97 @@ def divide_color(value: wp.vec3, albedo: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def light_terms(p: LitSurface, s: LightSample) -> LightTerms:
+def lit_material(options: DirectOptions, m: SurfaceMaterial, s: LightSample) -> SurfaceMaterial:
+    """Return a material as a light sample shows it: no lobe sharper than what such samples can meet."""
+    if options.rays == 0:
+        m.roughness = wp.max(m.roughness, LEAST_ROUGHNESS)
+        m.coat_roughness = wp.max(m.coat_roughness, LEAST_ROUGHNESS)
+        return m
+    if s.delta == 1:
+        # A mirror shows no light without size.
+        if is_singular(m.roughness):
+            m.f0 = wp.vec3(0.0, 0.0, 0.0)
+            m.f90 = 0.0
+        if is_singular(m.coat_roughness):
+            m.coat = 0.0
+    m.roughness = sample_roughness(m.roughness, s)
+    m.coat_roughness = sample_roughness(m.coat_roughness, s)
+    return m
+
+
+@wp.func
+def light_terms(
+    scene: Scene, split: EnvironmentSplit, options: DirectOptions, p: LitSurface, candidate: Candidate, s: LightSample,
+) -> LightTerms:
     """Return what a light sample gives a surface; light switched off for a kind of ray is left out."""
     terms = LightTerms()
     terms.diffuse = wp.vec3(0.0, 0.0, 0.0)
     terms.specular = wp.vec3(0.0, 0.0, 0.0)
     if s.kind < 0:
         return terms
-    f = evaluate_brdf(p.material, p.surface, p.wo, s.wi)
+    f = evaluate_brdf(lit_material(options, p.material, s), p.surface, p.wo, s.wi)
     light = s.radiance / s.pdf
     if (s.visibility & VISIBLE_DIFFUSE) != 0:
         terms.diffuse = wp.cw_mul(f.diffuse + f.transmitted, light)
-    if (s.visibility & VISIBLE_GLOSSY) != 0:
-        terms.specular = divide_color(wp.cw_mul(f.specular, light), p.material.specular)
+    if (s.visibility & VISIBLE_GLOSSY) != 0 and max_component(f.specular) > 0.0:
+        share = float(1.0)
+        if options.rays == 1:
+            zone = shown_zone(options.reflection, p.material)
+            if zone > 0.0:
+                density = lobes_pdf(specular_lobes(p.material, p.surface, p.wo), s.wi)
+                share = light_side_share(scene, split, candidate, s, p.surface.position, density, zone)
+        terms.specular = divide_color(wp.cw_mul(f.specular, light), p.material.specular) * share
     return terms
 
 
 @wp.func
-def specular_estimate(p: Receiver, wi: wp.vec3, cos_i: float) -> float:
-    """Return about the GGX lobe's luminance times the cosine; above 0 wherever the lobe may be.
+def lobe_estimate(alpha: float, h: float, across: float, i: float, o: float) -> float:
+    """Return about a GGX lobe's value times the cosine, for Fresnel 1; above 0 wherever the lobe may be.
 
     The masking is Hammon's fit to Smith's ("PBR Diffuse Lighting for GGX+Smith Microsurfaces", 2017).
+
+    Args:
+        alpha: Roughness.
+        h: Cosine of the half vector.
+        across: Its sine, squared.
+        i: Cosine of the light.
+        o: That of the view.
     """
-    h = wp.normalize(p.wo + wi)
-    a2 = sqr(p.alpha)
-    across = wp.cross(p.normal, h)
-    spread = wp.dot(across, across) + a2 * sqr(wp.dot(p.normal, h))
-    i = wp.max(cos_i, COSINE_FLOOR)
-    o = wp.max(wp.dot(p.normal, p.wo), COSINE_FLOOR)
-    masking = 0.5 / wp.lerp(2.0 * i * o, i + o, p.alpha)
-    m = wp.clamp(1.0 - wp.dot(p.wo, h), 0.0, 1.0)
-    m5 = sqr(sqr(m)) * m
-    return (p.f0 * (1.0 - m5) + p.f90 * m5) * masking * i * a2 * INV_PI / wp.max(sqr(spread), 1.0e-20)
+    a2 = sqr(alpha)
+    spread = across + a2 * sqr(h)
+    masking = 0.5 / wp.lerp(2.0 * i * o, i + o, alpha)
+    return masking * i * a2 * INV_PI / wp.max(sqr(spread), 1.0e-20)
 
 
 @wp.func
-def target(p: Receiver, s: LightSample, weights: wp.vec3) -> float:
+def specular_estimate(options: DirectOptions, p: Receiver, s: LightSample, cos_i: float) -> float:
+    """Return about the luminance of all lobes' value times the cosine, of which a light sample has its share."""
+    half = wp.normalize(p.wo + s.wi)
+    normal = wp.cross(p.normal, half)
+    across = wp.dot(normal, normal)
+    h = wp.dot(p.normal, half)
+    i = wp.max(cos_i, COSINE_FLOOR)
+    o = wp.max(wp.dot(p.normal, p.wo), COSINE_FLOOR)
+    m = wp.clamp(1.0 - wp.dot(p.wo, half), 0.0, 1.0)
+    m5 = sqr(sqr(m)) * m
+    roughness = p.roughness
+    coat_roughness = p.coat_roughness
+    if options.rays == 1:
+        roughness = sample_roughness(roughness, s)
+        coat_roughness = sample_roughness(coat_roughness, s)
+    density = lobe_estimate(surface_alpha(roughness), h, across, i, o)
+    value = (p.f0 * (1.0 - m5) + p.f90 * m5) * density
+    if p.coat > 0.0:
+        coat = lobe_estimate(surface_alpha(coat_roughness), h, across, i, o)
+        value += p.coat * coat
+        density = wp.lerp(density, coat, p.coat_share)
+    if p.zone > 0.0 and s.delta == 0:
+        value *= light_part(density, s.pdf, p.zone)
+    return value
+
+
+@wp.func
+def target(options: DirectOptions, p: Receiver, s: LightSample, weights: wp.vec3) -> float:
     """Return what samples are resampled by: about the luminance of the light that they send to the camera."""
     if s.kind < 0:
         return 0.0
@@ -272,8 +354,8 @@ def target(p: Receiver, s: LightSample, weights: wp.vec3) -> float:
     if wp.dot(p.geometric_normal, s.wi) > 0.0:
         if shines:
             value = p.diffuse * INV_PI * wp.max(cos_i, 0.0)
-        if (s.visibility & VISIBLE_GLOSSY) != 0 and p.f0 + p.f90 > 0.0:
-            value = value + specular_estimate(p, s.wi, cos_i)
+        if (s.visibility & VISIBLE_GLOSSY) != 0 and p.f0 + p.f90 + p.coat > 0.0:
+            value = value + specular_estimate(options, p, s, cos_i)
     elif shines:
         value = p.transmitted * INV_PI * wp.max(-cos_i, 0.0)
     value = value * luminance(s.radiance, weights) / s.pdf
@@ -285,10 +367,11 @@ def target(p: Receiver, s: LightSample, weights: wp.vec3) -> float:
 
 @wp.func
 def target_of(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], p: Receiver, candidate: Candidate,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, p: Receiver,
+    candidate: Candidate,
 ) -> float:
     """Return the target of a candidate at a surface."""
-    return target(p, replay(scene, split, emitters, p.position, candidate), scene.luminance)
+    return target(options, p, replay(scene, split, emitters, p.position, candidate), scene.luminance)
 
 
 @wp.func

@@ -135,7 +135,9 @@ def shade_direct(
             factor = factor_of(options, rays, slot_of_pixel(view, options, q))
             factor = factor * (lent[q] * view.exposure)
             if max_component(factor) > 0.0:
-                s = replay(scene, split, emitters, surface.position, load_reservoir(reservoirs, q).candidate)
-                light = scaled_terms(light_terms(load_lit(view, gbuffer, surface, pixel), s), factor)
+                candidate = load_reservoir(reservoirs, q).candidate
+                s = replay(scene, split, emitters, surface.position, candidate)
+                p = load_lit(view, gbuffer, surface, pixel)
+                light = scaled_terms(light_terms(scene, split, options, p, candidate, s), factor)
     light_out.diffuse[pixel] = pack_halves(rgba(light.diffuse, sampled))
     light_out.specular[pixel] = pack_halves(rgba(light.specular, sampled))

@@ -115,7 +115,8 @@ def aim_shadow_rays(
         s = replay(scene, split, emitters, point.position, r.candidate)
         if s.kind >= 0:
             scale = r.weight * view.exposure
-            light = scaled_terms(light_terms(p, s), wp.vec3(scale, scale, scale))
+            light = scaled_terms(
+                light_terms(scene, split, options, p, r.candidate, s), wp.vec3(scale, scale, scale))
             start_ray(scene, point, s, slot, rays_out)
             if options.full == 1:
                 emitter = int(-1)

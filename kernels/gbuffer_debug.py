@@ -21,6 +21,8 @@ GBUFFER_DEPTH = wp.constant(4)
 GBUFFER_MOTION = wp.constant(5)
 GBUFFER_INSTANCE = wp.constant(6)
 GBUFFER_DISOCCLUSION = wp.constant(7)
+GBUFFER_TRANSMITTED = wp.constant(8)
+GBUFFER_COAT = wp.constant(9)
 
 # Motion [px] that is drawn in full colour.
 MOTION_RANGE = wp.constant(16.0)
@@ -47,6 +49,10 @@ def surface_color(gbuffer: GBuffer, pixel: int, what: int) -> wp.vec3:
         c = m.specular
     if what == GBUFFER_ROUGHNESS:
         c = wp.vec3(m.roughness, m.roughness, m.roughness)
+    if what == GBUFFER_TRANSMITTED:
+        c = m.transmitted
+    if what == GBUFFER_COAT:
+        c = wp.vec3(m.coat, m.coat, m.coat)
     if what == GBUFFER_DEPTH:
         # 1 cm to 1 km in equal steps of the logarithm, near ones light.
         c = heat(1.0 - (wp.log(wp.max(gbuffer.depth[pixel], 1.0e-6)) / 2.3025851 + 2.0) / 5.0)

@@ -10,10 +10,11 @@ from .gbuffer_rays import PrimaryHits, primary_ray
 from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
 from .intersect import MISS
 from .node_lean import lean_surface, run_lean
+from .pixel_order import pixel_in_blocks
 from .types import MATERIAL_LEAN, Scene
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.kernel(cuda_max_registers=96)
@@ -23,13 +24,19 @@ def shade_lean(
     views: wp.array[View],
     scene: Scene,
     width: int,
+    height: int,
     filtered: int,
     hits: PrimaryHits,
     # Out:
     gbuffer_out: GBuffer,
 ):
-    """Fill the G-buffer but for its motion; where that takes the full machine only note that (LEFT)."""
-    pixel = first + wp.tid()
+    """Fill the G-buffer but for its motion; where that takes the full machine only note that (LEFT).
+
+    Pixels go by pixel_in_blocks.
+    """
+    pixel = pixel_in_blocks(first + wp.tid(), width, height)
+    if pixel < 0:
+        return
     missed = hits.hit[pixel][0] == MISS
     if missed and scene.environment.constant == 0:
         gbuffer_out.hit[pixel] = wp.vec2i(LEFT, LEFT)

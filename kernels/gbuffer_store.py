@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a surface's albedos, or the world, are packed into the G-buffer; used by all kernels that fill it. Functions.
 
-The BSDF is reduced to one diffuse, one translucent and one GGX lobe of the same albedos.
+The BSDF is reduced to one diffuse and one translucent lobe, a GGX lobe, a coat's and the sum of what glass lets
+through, of the same albedos.
 """
 
 from __future__ import annotations
@@ -77,10 +78,8 @@ def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> f
 
 
 @wp.func
-def widened_roughness(
-    frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: float, roughness: float,
-) -> float:
-    """Return the roughness with the variance of the normal inside the pixel (Tokuyoshi and Kaplanyan 2021)."""
+def widening(frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: float) -> float:
+    """Return what the variance of the normal inside the pixel adds to alpha squared (Tokuyoshi and Kaplanyan 2021)."""
     width = pixel_footprint(frame, depth)
     m = frame.camera_to_world
     right = wp.normalize(wp.vec3(m[0, 0], m[1, 0], m[2, 0])) * width
@@ -91,9 +90,18 @@ def widened_roughness(
     up = up - point.wo * (wp.dot(up, n) / cosine)
     change = normal_change(geometry, point, right) + normal_change(geometry, point, up)
     if not wp.isfinite(change):
-        return roughness
-    widening = wp.min(2.0 * FILTER_VARIANCE * change, WIDENING_MAX)
-    return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + widening)), 1.0)
+        return 0.0
+    return wp.min(2.0 * FILTER_VARIANCE * change, WIDENING_MAX)
+
+
+@wp.func
+def widened(roughness: float, added: float) -> float:
+    """Return a perceptual roughness with `added` to its alpha squared."""
+    if not wp.isfinite(roughness):
+        return 1.0
+    if added > 0.0:
+        return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + added)), 1.0)
+    return roughness
 
 
 @wp.func
@@ -120,9 +128,8 @@ def store_surface(
     if not is_finite3(normal):
         normal = point.geometric_normal
     material = SurfaceMaterial()
-    material.roughness = 1.0
-    if wp.isfinite(albedo.roughness):
-        material.roughness = widened_roughness(view.camera, scene.geometry, point, depth, albedo.roughness)
+    added = widening(view.camera, scene.geometry, point, depth)
+    material.roughness = widened(albedo.roughness, added)
     material = fit_lobe(scene.tables, albedo, cosine, material)
     material.f90 = material.f90 * mean_component(weight)
     if not wp.isfinite(material.f90):
@@ -131,6 +138,12 @@ def store_surface(
     material.diffuse = finite_or_zero(wp.cw_mul(albedo.diffuse, weight))
     material.translucent = finite_or_zero(wp.cw_mul(albedo.translucent, weight))
     material.specular = finite_or_zero(wp.cw_mul(albedo.specular, weight))
+    # The lean machine knows neither coats nor glass: there these are constants and nothing is computed.
+    if max_component(albedo.transmitted) > 0.0:
+        material.transmitted = finite_or_zero(wp.cw_mul(albedo.transmitted, weight))
+    if albedo.coat > 0.0 and wp.isfinite(albedo.coat):
+        material.coat = wp.min(albedo.coat * mean_component(weight), 1.0)
+        material.coat_roughness = widened(albedo.coat_roughness, added)
     emission = finite_or_zero(wp.cw_mul(emitted, weight)) * view.exposure
     alpha = float(1.0)
     if (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:

@@ -12,6 +12,8 @@ from __future__ import annotations
 import warp as wp
 
 from .albedo_tables import plane_point, view_at
+from .gbuffer import SurfaceMaterial
+from .geometry_math import sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
 from .packing import pack_unorm16, unpack_unorm16
 from .specular_lobes import schlick, surface_alpha
@@ -122,6 +124,32 @@ def table_moments(moments: wp.array[wp.uint64], lobe: int, u: float, v: float) -
     low = wp.lerp(unpack_moments(moments[at]), unpack_moments(moments[at + 2]), fu)
     at = at + 2 * LOBE_NODES
     return wp.lerp(low, wp.lerp(unpack_moments(moments[at]), unpack_moments(moments[at + 2]), fu), fv)
+
+
+@wp.func
+def fourth_root(packed: wp.uint64) -> float:
+    """Return the fourth root of the albedo in pack_moments."""
+    return wp.sqrt(wp.sqrt(wp.max(unpack_moments(packed)[0], 0.0)))
+
+
+@wp.func
+def fitted_albedo(moments: wp.array[wp.uint64], m: SurfaceMaterial, cosine: float) -> wp.vec3:
+    """Return the integral of specular_lobes.lobes_value for a view's cosine with the lobes' normal.
+
+    What the G-buffer's `specular` was fitted to: they differ by up to 4 % (f0 and f90 follow Schlick, materials don't),
+    so samples divided by this are white under a white sky, and those divided by that are not.
+    """
+    u = wp.clamp(m.roughness, 0.0, 1.0) * float(LOBE_NODES - 1)
+    v = wp.sqrt(wp.clamp(cosine, COSINE_MIN, 1.0)) * float(LOBE_NODES - 1)
+    i = wp.min(int(u), LOBE_NODES - 2)
+    j = wp.min(int(v), LOBE_NODES - 2)
+    at = (j * LOBE_NODES + i) * 2 + 1
+    # It falls with the fifth power of what lies between the nodes: its root is nearly straight there.
+    low = wp.lerp(fourth_root(moments[at]), fourth_root(moments[at + 2]), u - float(i))
+    at = at + 2 * LOBE_NODES
+    high = wp.lerp(fourth_root(moments[at]), fourth_root(moments[at + 2]), u - float(i))
+    grazing = m.f90 * sqr(sqr(wp.lerp(low, high, v - float(j)))) + m.coat
+    return m.f0 * table_moments(moments, 0, u, v)[0] + wp.vec3(grazing, grazing, grazing)
 
 
 @wp.func

@@ -18,7 +18,7 @@ from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE
 from .probe_spawn import probe_cell, separated
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
-from .view import View, project, settling_frames
+from .view import View, project, settled_length
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -36,9 +36,6 @@ LIGHT_FRAMES = wp.constant(12)
 
 # Frames after an edit of the light during which probes that still hold the light from before tell nothing.
 OUTDATED_FRAMES = wp.constant(32)
-
-# Of the frames since light began to spread, the share that a probe's mean may reach back: the first lack bounces.
-SETTLING_SHARE = wp.constant(0.5)
 
 # Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where surfaces
 # are so cut up that probes are made anew in every frame, that error would never end. At rest none: time removes noise.
@@ -255,7 +252,7 @@ def count_history(
     # Longer at rest, by the updates since.
     turns = float(grid.side * grid.side)
     limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)
-    limit = wp.min(limit, SETTLING_SHARE * settling_frames(view) / turns)
+    limit = wp.min(limit, settled_length(view) / turns)
     # With less, cells that get a ray in every other update would have to step by more than all.
     updates_out.count[update] = wp.min(count, wp.max(limit, 1.0))
     updates_out.covered[update] = covered

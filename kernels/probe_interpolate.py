@@ -22,7 +22,7 @@ from .probe_spawn import SEPARATION, probe_cell
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Reach [px] of probes in the 3 x 3 tiles around a pixel: as far as all of them are sure to be seen, so that nothing
 # jumps at the tiles' borders.
@@ -74,15 +74,22 @@ class Blend:
 
 
 @wp.func
-def place_of(
-    view: View, grid: ProbeGrid, gbuffer: GBuffer, moments: wp.array[wp.uint64], s: Surface, pixel: int,
-) -> Place:
-    """Return what a pixel asks for."""
+def bare_place(view: View, grid: ProbeGrid, s: Surface, pixel: int) -> Place:
+    """Return where a pixel lies: what `record_weight` needs."""
     p = Place()
     p.surface = s
     p.x = float(view.camera.crop_x + pixel % grid.width) + 0.5
     p.y = float(view.camera.crop_y + pixel // grid.width) + 0.5
     p.cell = probe_cell(view, s.depth)
+    return p
+
+
+@wp.func
+def place_of(
+    view: View, grid: ProbeGrid, gbuffer: GBuffer, moments: wp.array[wp.uint64], s: Surface, pixel: int,
+) -> Place:
+    """Return what a pixel asks for."""
+    p = bare_place(view, grid, s, pixel)
     p.diffuse = world_basis(s.normal, 1.0, 1.0)
     p.lobe = p.diffuse
     p.lobe_mean = s.normal * COSINE_1
@@ -148,14 +155,15 @@ def add_record(
     """Add a recorded probe to weighted sums."""
     n = unpack_normal(wp.uint32(records[base + 3] & wp.uint64(0xFFFFFFFF)))
     cosine = wp.dot(p.surface.normal, n)
-    w = weight * unpack_halves(records[base + RECORD_BANDS])[3]
+    mean = unpack_halves(records[base + RECORD_BANDS])
+    w = weight * mean[3]
     correction = wp.max(cosine - CORRECTION_COSINE, 0.0) / (1.0 - CORRECTION_COSINE)
-    light = rgb(unpack_halves(records[base + RECORD_BANDS + 9])) * correction
-    specular = wp.vec3(0.0, 0.0, 0.0)
-    for k in range(9):
-        c = rgb(unpack_halves(records[base + RECORD_BANDS + k]))
-        light = light + c * p.diffuse[k]
-        specular = specular + c * p.lobe[k]
+    light = rgb(unpack_halves(records[base + RECORD_BANDS + 9])) * correction + rgb(mean)
+    specular = luminance(rgb(mean), grid.luminance)
+    for k in range(1, 9):
+        c = unpack_halves(records[base + RECORD_BANDS + k])
+        light = light + rgb(c) * p.diffuse[k]
+        specular = specular + c[3] * p.lobe[k]
     share = float(1.0)
     specular_share = float(1.0)
     if grid.exact == 1:
@@ -164,7 +172,7 @@ def add_record(
     b = Blend()
     b.light = total.light + light * w
     b.share = total.share + share * w
-    b.specular = total.specular + luminance(specular, grid.luminance) * w
+    b.specular = total.specular + specular * w
     b.specular_share = total.specular_share + specular_share * w
     return b
 
@@ -236,7 +244,7 @@ def specular_ratio(b: Blend, weights: wp.vec3) -> wp.float16:
     return wp.float16(wp.min(specular / light, RATIO_MAX))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=72)
 def interpolate_probes(
     first: int,
     # In:
@@ -276,7 +284,6 @@ def interpolate_probes(
 
 @wp.kernel
 def fill_gaps(
-    first: int,
     # In:
     grid: ProbeGrid,
     views: wp.array[View],
@@ -285,28 +292,33 @@ def fill_gaps(
     tiles: ProbeTiles,
     pool: ProbePool,
     moments: wp.array[wp.uint64],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
     # Out:
     irradiance_out: wp.array[wp.vec4h],
     ratio_out: wp.array[wp.float16],
 ):
-    """Give pixels that interpolate_probes left out the light of probes farther off.
+    """Give listed pixels that interpolate_probes left out the light of probes farther off.
 
     Confidence is 0.5 where they are on the same surface, 0 where the value comes from another one or there is none.
     """
-    pixel = first + wp.tid()
-    if float(irradiance_out[pixel][3]) >= 0.0:
-        return
-    view = views[0]
-    s = load_surface(view, gbuffer, grid.width, pixel)
-    p = place_of(view, grid, gbuffer, moments, s, pixel)
-    tile = (pixel // grid.width // TILE) * grid.tile_columns + pixel % grid.width // TILE
-    confidence = float(0.5)
-    total = blend_around(grid, records, pool, p, tile, 2, WIDE_REACH)
-    if total.share < LEAST_WEIGHT:
-        confidence = 0.0
-        nearest = nearest_tile(grid, pool, tiles, s, tile, p.cell)
-        total = empty_blend()
-        if nearest >= 0:
-            total = add_record(records, nearest * (2 * RECORD), grid, p, 1.0, total)
-    irradiance_out[pixel] = diffuse_light(total, confidence)
-    ratio_out[pixel] = specular_ratio(total, grid.luminance)
+    i = wp.tid()
+    while i < count[0]:
+        pixel = queue[i]
+        i = i + stride
+        if float(irradiance_out[pixel][3]) < 0.0:
+            view = views[0]
+            s = load_surface(view, gbuffer, grid.width, pixel)
+            p = place_of(view, grid, gbuffer, moments, s, pixel)
+            tile = (pixel // grid.width // TILE) * grid.tile_columns + pixel % grid.width // TILE
+            confidence = float(0.5)
+            total = blend_around(grid, records, pool, p, tile, 2, WIDE_REACH)
+            if total.share < LEAST_WEIGHT:
+                confidence = 0.0
+                nearest = nearest_tile(grid, pool, tiles, s, tile, p.cell)
+                total = empty_blend()
+                if nearest >= 0:
+                    total = add_record(records, nearest * (2 * RECORD), grid, p, 1.0, total)
+            irradiance_out[pixel] = diffuse_light(total, confidence)
+            ratio_out[pixel] = specular_ratio(total, grid.luminance)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import orthonormal_tangent
+from .geometry_math import luminance, orthonormal_tangent
 from .packed_halves import pack_halves
 from .packing import pack_floats, rgb, rgba, unpack_normal
 from .probe_gather import outdated
@@ -19,7 +19,8 @@ from .view import View, project
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 RECORD = wp.constant(14)
-"""Words: film position; centre x, y; centre z, clear distance; normal, slot; 10 bands (rgb, and trust in the first)"""
+"""Words: film position; centre x, y; centre z, clear distance; normal, slot; 10 bands (rgb, and luminance; in the
+first trust instead)"""
 RECORD_BANDS = wp.constant(4)
 
 # Weight of a probe that holds the light from before an edit, beside others.
@@ -96,6 +97,8 @@ def record_probes(
     green = world_coefficients(pool, slot, n, 1)
     blue = world_coefficients(pool, slot, n, 2)
     trust = wp.where(outdated(view, pool, slot), OUTDATED_TRUST, 1.0)
-    for k in range(9):
-        records_out[base + RECORD_BANDS + k] = pack_halves(wp.vec4(red[k], green[k], blue[k], trust))
+    records_out[base + RECORD_BANDS] = pack_halves(wp.vec4(red[0], green[0], blue[0], trust))
+    for k in range(1, 9):
+        c = wp.vec3(red[k], green[k], blue[k])
+        records_out[base + RECORD_BANDS + k] = pack_halves(rgba(c, luminance(c, grid.luminance)))
     records_out[base + RECORD_BANDS + 9] = pack_halves(rgba(rgb(pool.irradiance[slot * BANDS + 9]), trust))

@@ -19,6 +19,11 @@ LOBE_TRANSMISSION = wp.constant(1)
 # ReflectionSamples.place of blocks without a sample.
 NO_SAMPLE = wp.constant(wp.uint8(255))
 
+# Where a block's sample comes from in a frame: nowhere, a traced ray, a look-up in the screen probes.
+SOURCE_NONE = wp.constant(wp.uint8(0))
+SOURCE_RAY = wp.constant(wp.uint8(1))
+SOURCE_PROBE = wp.constant(wp.uint8(2))
+
 # Distance [m] that stands for the world in samples; the largest round number that fits a half-float.
 SAMPLE_FAR = wp.constant(6.0e4)
 

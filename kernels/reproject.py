@@ -30,7 +30,7 @@ from .view import (
     unproject,
 )
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # A tap shows the same surface if the geometric normals' cosine is above the first and it lies off the plane by less
 # than so many pixels' widths, up to GRAZING_SLACK times that where the plane is seen from the side (GI-1.0 code,
@@ -77,7 +77,7 @@ def same_surface(a: Surface, b: Surface, tolerance: float) -> bool:
     return wp.dot(a.geometric_normal, b.geometric_normal) > NORMAL_COSINE and plane_distance(a, b.position) < tolerance
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=72)
 def reproject(
     # In:
     first: int,

@@ -14,6 +14,18 @@ from .types import Scene
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
+@wp.func
+def add_weakened(options: Options, bounce: int, paths: Paths, path: int, light: wp.vec3):
+    """Add the light that a shadow ray brings; where a program of it is pending only keep it."""
+    if not max_component(light) > 0.0:
+        paths.shadow_distance[path] = 0.0
+    elif paths.shadow_pending[path] == PENDING_NONE:
+        paths.shadow_distance[path] = 0.0
+        add_light(paths, path, light, limit_at(options, bounce + 1))
+    else:
+        paths.shadow_light[path] = light
+
+
 @wp.kernel
 def weaken_shadow_rays(
     # In:
@@ -36,10 +48,4 @@ def weaken_shadow_rays(
             load_layer(paths_out, path), bounce + 1)
         light = wp.cw_mul(light, passed.weight)
         paths_out.overruns[path] = paths_out.overruns[path] + passed.overrun
-    if not max_component(light) > 0.0:
-        paths_out.shadow_distance[path] = 0.0
-    elif paths_out.shadow_pending[path] == PENDING_NONE:
-        paths_out.shadow_distance[path] = 0.0
-        add_light(paths_out, path, light, limit_at(options, bounce + 1))
-    else:
-        paths_out.shadow_light[path] = light
+    add_weakened(options, bounce, paths_out, path, light)

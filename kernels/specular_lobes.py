@@ -21,6 +21,8 @@ ALPHA_MIN = wp.constant(5.0e-4)
 
 # Reflectance of a coat along its normal by that at grazing angles (index 1.5, Blender's default).
 COAT_F0 = wp.constant(0.04)
+# How much a rough coat's half vectors turn to the view at grazing angles; see coat_albedo.
+COAT_TURN = wp.constant(1.2)
 
 
 @wp.struct
@@ -51,6 +53,28 @@ def schlick(f0: wp.vec3, f90: float, cos_h: float) -> wp.vec3:
     m = wp.clamp(1.0 - cos_h, 0.0, 1.0)
     m5 = sqr(sqr(m)) * m
     return f0 * (1.0 - m5) + wp.vec3(f90, f90, f90) * m5
+
+
+@wp.func
+def coat_reflectance(cos_h: float) -> float:
+    """Return Schlick's reflectance from COAT_F0 to 1."""
+    m = wp.clamp(1.0 - cos_h, 0.0, 1.0)
+    return COAT_F0 + (1.0 - COAT_F0) * (sqr(sqr(m)) * m)
+
+
+@wp.func
+def coat_albedo(cosine: float, roughness: float) -> float:
+    """Return the directional albedo of a GGX lobe of Schlick's reflectance from COAT_F0 to 1.
+
+    A fit: Schlick at a cosine that roughness turns to the normal, by what shadowing takes. Exact for mirrors; within
+    4 % up to a roughness of 0.5, 8 % up to 1, for views up to 84 degrees aslant.
+    """
+    c = wp.clamp(cosine, 0.0, 1.0)
+    r = roughness
+    turned = wp.min(wp.sqrt(sqr(c) + COAT_TURN * wp.pow(r, 2.5) * (1.0 - sqr(c))), 1.0)
+    p = -5.932 + c * (4.405 + c * (4.615 - 3.135 * c)) + r * (
+        9.288 + c * (-7.951 - 0.951 * c) + r * (-4.087 + 5.466 * c + 0.32 * r))
+    return coat_reflectance(turned) / (1.0 + sqr(r) * p)
 
 
 @wp.func
@@ -107,11 +131,7 @@ def lobes_value(m: SurfaceMaterial, lobes: SpecularLobes, wi: wp.vec3) -> wp.vec
     lobe = ggx_reflection(lobes.local_o, local_i, lobes.alpha, lobes.alpha)
     value = schlick(m.f0, m.f90, lobe[2]) * lobe[0]
     if lobes.coat_share > 0.0:
-        # `coat` is the albedo for this view, which holds Fresnel's mean over the lobe: its shape is that of a mirror's
-        # by comparison with this view's half vector.
         coat = ggx_reflection(lobes.local_o, local_i, lobes.coat_alpha, lobes.coat_alpha)
-        here = COAT_F0 + (1.0 - COAT_F0) * wp.pow(1.0 - wp.clamp(coat[2], 0.0, 1.0), 5.0)
-        mean = COAT_F0 + (1.0 - COAT_F0) * wp.pow(1.0 - wp.clamp(lobes.local_o[2], 0.0, 1.0), 5.0)
-        k = m.coat * coat[0] * wp.min(here / mean, 4.0)
+        k = m.coat / coat_albedo(lobes.local_o[2], m.coat_roughness) * coat_reflectance(coat[2]) * coat[0]
         value += wp.vec3(k, k, k)
     return value

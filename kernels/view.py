@@ -124,3 +124,16 @@ def settling_frames(view: View) -> float:
     A bounce of light takes a frame, so early frames are too dark; means must leave them behind.
     """
     return float(wp.min(view.light_age, view.frame))
+
+
+# A bounce of light takes a frame, so early frames are too dark: the share of the frames since the start or an edit of
+# light that a mean may hold while light spreads, and the frames after which it has spread.
+SETTLING_SHARE = wp.constant(0.3)
+SETTLED_FRAMES = wp.constant(64.0)
+
+
+@wp.func
+def settled_length(view: View) -> float:
+    """Return the most frames that a mean may hold: those that came before light had spread are left behind."""
+    settling = settling_frames(view)
+    return wp.max(SETTLING_SHARE * settling, settling - SETTLED_FRAMES)

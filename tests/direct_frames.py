@@ -45,7 +45,7 @@ def local_power(scene):
 class Frames:
     """Renders frames of direct light of a scene."""
 
-    def __init__(self, delta, camera=None, size=8, exposure=1.0, **settings):
+    def __init__(self, delta, camera=None, size=8, exposure=1.0, reflections=None, **settings):
         self.device = choose_device(scenes.SETTINGS.device)
         self.scene = DeviceScene(self.device)
         self.scene.apply(delta, scenes.SETTINGS.performance)
@@ -54,7 +54,7 @@ class Frames:
         self.views = ViewTracker(self.device)
         self.motion = MotionTracker(self.device)
         self.gbuffer = GBufferPass(self.device)
-        self.direct = DirectLightPass(self.device, DirectLightSettings(**settings))
+        self.direct = DirectLightPass(self.device, DirectLightSettings(**settings), reflections)
         for each in (self.gbuffer, self.direct):
             each.resize(size, size)
         self.split = split_environment(self.scene.scene, self.device)
@@ -74,7 +74,7 @@ class Frames:
             self.light = self.direct.record(
                 graph, parity, scene, self.views.array, current, self.gbuffer.previous(parity),
                 self.gbuffer.reprojection, self.split, filtered=filtered, textured=self.scene.emitters.textured,
-                local_power=local_power(self.scene))
+                local_power=local_power(self.scene), lean_layers=self.scene.material_table.lean.transparency)
             if debug:
                 self.direct.record_debug(graph, parity, debug, self.picture)
             self.graphs.append(graph)

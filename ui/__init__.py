@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Properties, panels and operators: what the user sees. Imports bpy and engine.settings only."""
+"""Properties, panels and operators: what the user sees. Imports bpy, engine.settings and engine.presets only."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ def _classes() -> tuple[type, ...]:
     from . import (
         data_panels,
         operators,
+        presets,
         realtime_panels,
         render_panels,
         report_panels,
@@ -19,8 +20,8 @@ def _classes() -> tuple[type, ...]:
         shading_panels,
     )
 
-    return (*operators.classes, *sampling_panels.classes, *realtime_panels.classes, *render_panels.classes,
-            *report_panels.classes, *data_panels.classes, *shading_panels.classes)
+    return (*operators.classes, *presets.classes, *sampling_panels.classes, *realtime_panels.classes,
+            *render_panels.classes, *report_panels.classes, *data_panels.classes, *shading_panels.classes)
 
 
 def register(services: Any) -> None:

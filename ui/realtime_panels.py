@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the render tab for the real-time integrator: probes, cache, direct light, denoiser, rest, debug view."""
+"""Panels of the render tab for the real-time integrator: probes, cache, lights, reflections, denoiser, debug view."""
 
 from __future__ import annotations
 
@@ -91,6 +91,36 @@ class BURNISH_RENDER_PT_direct_light(RealtimePanel, Panel):
         layout.prop(direct_light, "half_rate")
 
 
+class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):
+    """Glossy reflections and refraction, by roughness."""
+
+    bl_label = "Reflections"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, reflections = self.split_layout(), context.scene.burnish.reflections
+        layout.prop(reflections, "resolution")
+        layout.prop(reflections, "bounces")
+        column = layout.column(align=True)
+        column.prop(reflections, "roughness_traced", text="Traced up to Roughness")
+        column.prop(reflections, "roughness_diffuse", text="Diffuse from")
+        column.prop(reflections, "roughness_blend", text="Blend")
+
+
+class BURNISH_RENDER_PT_reflections_method(RealtimePanel, Panel):
+    """Parts of the method that can be switched off to see what they do."""
+
+    bl_label = "Method"
+    bl_parent_id = "BURNISH_RENDER_PT_reflections"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, reflections = self.split_layout(), context.scene.burnish.reflections
+        layout.prop(reflections, "screen_reuse")
+        layout.prop(reflections, "hit_lighting")
+        layout.prop(reflections, "jitter")
+
+
 class BURNISH_RENDER_PT_denoiser(RealtimePanel, Panel):
     """Filters over frames and neighbouring pixels, and what happens at rest."""
 
@@ -106,6 +136,28 @@ class BURNISH_RENDER_PT_denoiser(RealtimePanel, Panel):
         column.prop(denoiser, "diffuse_radius", text="Indirect Radius")
         column.prop(denoiser, "diffuse_history", text="History")
         layout.prop(denoiser, "antialiasing", text="Anti-Aliasing")
+
+
+class BURNISH_RENDER_PT_denoiser_reflections(RealtimePanel, Panel):
+    """Filters of reflections and refraction."""
+
+    bl_label = "Reflections"
+    bl_parent_id = "BURNISH_RENDER_PT_denoiser"
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, denoiser = self.split_layout(), context.scene.burnish.denoiser
+        column = layout.column(align=True)
+        column.prop(denoiser, "reflection_iterations", text="Passes")
+        column.prop(denoiser, "reflection_kernel", text="Kernel")
+        column = layout.column(heading="Spatial")
+        column.prop(denoiser, "reflection_ratio", text="Weigh by Ratio")
+        column.prop(denoiser, "reflection_cleanup", text="Clean Up")
+        layout.prop(denoiser, "reflection_temporal", text="Temporal")
+        column = layout.column(align=True)
+        column.active = denoiser.reflection_temporal
+        column.prop(denoiser, "reflection_history", text="History")
+        column.prop(denoiser, "reflection_clamp", text="Clamp")
 
 
 class BURNISH_RENDER_PT_denoiser_rest(RealtimePanel, Panel):
@@ -147,7 +199,10 @@ classes = (
     BURNISH_RENDER_PT_cache,
     BURNISH_RENDER_PT_cache_method,
     BURNISH_RENDER_PT_direct_light,
+    BURNISH_RENDER_PT_reflections,
+    BURNISH_RENDER_PT_reflections_method,
     BURNISH_RENDER_PT_denoiser,
+    BURNISH_RENDER_PT_denoiser_reflections,
     BURNISH_RENDER_PT_denoiser_rest,
     BURNISH_RENDER_PT_debug,
 )

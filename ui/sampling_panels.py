@@ -8,6 +8,7 @@ from typing import Any
 from bpy.types import Panel
 
 from .panel import BurnishPanel
+from .presets import draw_presets
 
 __all__ = ["classes"]
 
@@ -28,6 +29,8 @@ class BURNISH_RENDER_PT_device(BurnishPanel, Panel):
         layout, settings = self.split_layout(), context.scene.burnish
         layout.prop(settings.sampling, "integrator")
         layout.prop(settings, "device")
+        if settings.sampling.integrator == 'REALTIME':
+            draw_presets(layout, context)
 
 
 class BURNISH_RENDER_PT_sampling(BurnishPanel, Panel):
@@ -47,8 +50,10 @@ class BURNISH_RENDER_PT_sampling_viewport(BurnishPanel, Panel):
 
     def draw(self, context: Any) -> None:
         """Draw."""
-        sampling = context.scene.burnish.sampling
-        self.split_layout().prop(sampling, "viewport_samples", text=counted(sampling))
+        layout, sampling = self.split_layout(), context.scene.burnish.sampling
+        layout.prop(sampling, "viewport_samples", text=counted(sampling))
+        if sampling.integrator == 'REALTIME':
+            layout.prop(sampling, "viewport_preset", text="Preset")
 
 
 class BURNISH_RENDER_PT_sampling_render(BurnishPanel, Panel):
@@ -62,6 +67,7 @@ class BURNISH_RENDER_PT_sampling_render(BurnishPanel, Panel):
         layout, sampling = self.split_layout(), context.scene.burnish.sampling
         layout.prop(sampling, "samples", text=counted(sampling))
         layout.prop(sampling, "time_limit")
+        layout.prop(context.scene.burnish.denoiser, "final_denoise", text="Denoise")
 
 
 class BURNISH_RENDER_PT_sampling_advanced(BurnishPanel, Panel):

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ...engine import settings as engine_settings
+from ...engine.presets import apply_preset
 from ...engine.settings import RenderSettings, setting_info
 
 __all__ = ["settings_from_scene"]
@@ -26,13 +27,14 @@ def settings_from_scene(scene: bpy.types.Scene, viewport: bool) -> RenderSetting
     Args:
         scene: Original or evaluated scene.
         viewport: Put `sampling.viewport_samples` into `sampling.samples` too, so that a session has one number to
-            obey. There 0 means no limit.
+            obey. There 0 means no limit. And apply `sampling.viewport_preset`.
     """
     settings = _read_group(getattr(scene, "burnish", None), RenderSettings)
     film = replace(settings.film, transparent=bool(scene.render.film_transparent))
     sampling = settings.sampling
     if viewport:
         sampling = replace(sampling, samples=sampling.viewport_samples)
+        settings = apply_preset(settings, sampling.viewport_preset)
     return replace(settings, film=film, sampling=sampling)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The last pass of a real-time frame: the composite, its temporal anti-aliasing and the diffuse light passes.
+"""The last pass of a real-time frame: the composite, its temporal anti-aliasing and the light passes.
 
 Owns the composites of this frame and the last (other passes look for light of the frame before there), the averaged
 picture and the sums of the light passes. Knows nothing of how the light was found.
@@ -7,14 +7,16 @@ picture and the sums of the light passes. Knows nothing of how the light was fou
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import warp as wp
 
 from ...kernels import antialias, composite, composite_debug
-from ...kernels.antialias import Accumulation
-from ...kernels.composite import LightPasses
+from ...kernels.antialias import Accumulation, ColorWords
+from ...kernels.composite import LightPasses, Lights
 from ...kernels.gbuffer import GBuffer
+from ...kernels.reflection_types import ReflectionOptions
 from ...kernels.types import Scene
 from ..device import launch
 from ..frame_graph import FrameGraph
@@ -23,9 +25,25 @@ from ..settings import DenoiserSettings
 
 __all__ = ["LIGHT_PASSES", "CompositePass"]
 
-LIGHT_PASSES = ("Diffuse Direct", "Diffuse Indirect", "Diffuse Color")
-"""Names of the pictures that read_light_pass() gives, of the real-time integrator only: (direct + indirect) * color is
-the picture's diffuse light."""
+PASS_LOBES = {
+    "Diffuse": composite.PASS_DIFFUSE, "Glossy": composite.PASS_GLOSSY, "Transmission": composite.PASS_TRANSMISSION,
+}
+PASS_PARTS = ("Direct", "Indirect", "Color")
+"""In the order of composite.resolve_light_passes' outputs"""
+
+LIGHT_PASSES = tuple(f"{lobe} {part}" for lobe in PASS_LOBES for part in PASS_PARTS)
+"""Names of the pictures that read_light_pass() gives, of the real-time integrator only.
+
+(direct + indirect) * color is a lobe's light; all three lobes, emission and the world make up the picture. Diffuse
+transmission counts as diffuse, sheen as glossy. Transmission Direct is always 0: light arrives through glass by rays
+that may meet anything, so all of it is indirect.
+"""
+
+DEBUG_LIGHT = {
+    "composite.direct": composite_debug.SHOW_DIRECT,
+    "composite.indirect": composite_debug.SHOW_INDIRECT,
+    "composite.reflection": composite_debug.SHOW_REFLECTION,
+}
 
 
 class CompositePass:
@@ -36,13 +54,16 @@ class CompositePass:
     debug_views = {
         "composite.direct": "Emission and direct light with the surfaces' colours",
         "composite.indirect": "Indirect light with the surfaces' colours",
+        "composite.reflection": "Indirect light that the surfaces reflect, with their colours",
         "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
     }
 
-    def __init__(self, device: str, settings: DenoiserSettings, light_passes: bool = False):
+    def __init__(self, device: str, settings: DenoiserSettings, light_passes: Iterable[str] = ()):
+        """Make the pass; `light_passes` are names from LIGHT_PASSES that will be read."""
         self.device = device
         self.settings = settings
-        self.light_passes = light_passes
+        self.lobes = tuple(sorted({name.partition(" ")[0] for name in light_passes}))
+        """Whose light passes are kept: keys of PASS_LOBES"""
         self.width = self.height = 0
         self._inputs: dict[int, tuple] = {}
         """What compose() was recorded with for each parity: debug views read the same"""
@@ -62,22 +83,21 @@ class CompositePass:
             "composite.color", lambda: wp.zeros(count, dtype=wp.vec4h, device=device))
         self.accumulated: History[Any] = History("composite.accumulated", accumulation)
         self._inputs = {}
-        self._sums = LightPasses()
-        extra = count if self.light_passes else 1
-        self._sums.direct = wp.zeros(extra, dtype=wp.vec3, device=device)
-        self._sums.indirect = wp.zeros(extra, dtype=wp.vec3, device=device)
-        self._sums.albedo = wp.zeros(extra, dtype=wp.vec4, device=device)
+        self._sums = {lobe: light_passes(count, device) for lobe in self.lobes}
 
     def reset(self) -> None:
         """Forget all frames."""
         self.color.reset()
         self.accumulated.reset()
-        for array in arrays_of(self._sums):
-            array.zero_()
+        for sums in self._sums.values():
+            for array in arrays_of(sums):
+                array.zero_()
 
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer, reprojection: Any,
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
+        reflection: wp.array | None = None, transmission: wp.array | None = None,
+        options: ReflectionOptions | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -91,6 +111,10 @@ class CompositePass:
             direct: Has `diffuse` and `specular` (vec4h): exposed, without the surfaces' colours.
             irradiance: vec4h, diffuse indirect light: irradiance / pi, exposed.
             specular_ratio: float16, what a reflection gets of that light; None: 1 everywhere.
+            reflection: uint64 (long_mean.pack_mean), exposed indirect light that reflections show, without the
+                surfaces' colours; None: `irradiance` stands in for it.
+            transmission: The same of light that arrives through glass.
+            options: Of the reflections: tell which surfaces have them; must come with `reflection`.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
@@ -99,18 +123,23 @@ class CompositePass:
         color = self.color.current(parity)
         if specular_ratio is None:
             specular_ratio = wp.full(count, 1.0, dtype=wp.float16, device=self.device)
-        lights = [gbuffer, direct.diffuse, direct.specular, irradiance, specular_ratio]
-        self._inputs[parity] = tuple(lights)
-        graph.launch(composite.compose, count, [views, *lights], [color])
-        if self.light_passes:
+        lights = Lights()
+        lights.direct_diffuse, lights.direct_specular = direct.diffuse, direct.specular
+        lights.irradiance, lights.specular_ratio = irradiance, specular_ratio
+        if reflection is not None:
+            lights.reflection, lights.options, lights.has_reflection = reflection, options, 1
+        if transmission is not None:
+            lights.transmission, lights.has_transmission = transmission, 1
+        self._inputs[parity] = (gbuffer, lights)
+        graph.launch(composite.compose, count, [views, gbuffer, lights], [color])
+        for lobe, sums in self._sums.items():
             graph.launch(
-                composite.accumulate_light_passes, count,
-                [views, gbuffer, direct.diffuse, irradiance, specular_ratio], [self._sums])
-        accumulated = self.accumulated.current(parity)
+                composite.accumulate_light_passes, count, [views, gbuffer, lights, int(PASS_LOBES[lobe])], [sums])
+        accumulated, before = self.accumulated.current(parity), self.accumulated.previous(parity)
         graph.launch(
             antialias.antialias, count,
-            [views, color, gbuffer.depth, reprojection.position, reprojection.taps,
-             self.accumulated.previous(parity), self.width, self.height, int(self.settings.antialiasing)],
+            [views, color.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps, before,
+             before.color.view(ColorWords), self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color
 
@@ -121,18 +150,27 @@ class CompositePass:
             graph.launch(
                 composite_debug.show_history, count, [self.accumulated.current(parity).samples], [picture])
             return
-        what = composite_debug.SHOW_DIRECT if name == "composite.direct" else composite_debug.SHOW_INDIRECT
-        graph.launch(composite_debug.show_light, count, [*self._inputs[parity], int(what)], [picture])
+        graph.launch(composite_debug.show_light, count, [*self._inputs[parity], int(DEBUG_LIGHT[name])], [picture])
 
     def read_light_pass(self, name: str) -> wp.array:
-        """Return one of LIGHT_PASSES of the frames since the picture came to rest: vec3 [h * w], exposed.
+        """Return one of LIGHT_PASSES, the mean of the frames since the picture came to rest: vec3 [h * w], exposed.
 
         Raises:
             KeyError: No such pass, or the light passes were not asked for.
         """
-        if not self.light_passes or name not in LIGHT_PASSES:
+        lobe, _, part = name.partition(" ")
+        if name not in LIGHT_PASSES or lobe not in self._sums:
             raise KeyError(name)
         count = self.width * self.height
-        pictures = [wp.empty(count, dtype=wp.vec3, device=self.device) for _ in LIGHT_PASSES]
-        launch(composite.resolve_light_passes, count, [0, self._sums], pictures, self.device)
-        return pictures[LIGHT_PASSES.index(name)]
+        pictures = [wp.empty(count, dtype=wp.vec3, device=self.device) for _ in PASS_PARTS]
+        launch(composite.resolve_light_passes, count, [0, self._sums[lobe]], pictures, self.device)
+        return pictures[PASS_PARTS.index(part)]
+
+
+def light_passes(count: int, device: str) -> LightPasses:
+    """Return empty sums for a number of pixels."""
+    sums = LightPasses()
+    sums.direct = wp.zeros(count, dtype=wp.vec3, device=device)
+    sums.indirect = wp.zeros(count, dtype=wp.vec3, device=device)
+    sums.albedo = wp.zeros(count, dtype=wp.vec4, device=device)
+    return sums

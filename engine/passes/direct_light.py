@@ -8,12 +8,15 @@ from functools import partial
 import warp as wp
 
 from ...kernels import (
+    compaction,
     direct_candidates,
     direct_debug,
     direct_emitters,
     direct_shade,
     direct_shadow,
+    flat_tracing,
     shadow_layers,
+    shadow_layers_lean,
     shadow_lights,
     tracing,
 )
@@ -22,13 +25,16 @@ from ...kernels.direct_light import DirectLight, PackedLight
 from ...kernels.direct_reservoir import DirectOptions, Reservoirs
 from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.gbuffer import GBuffer
+from ...kernels.reflection_types import LOBE_REFLECTION
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
-from ..settings import DirectLightSettings
+from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_queue, make_shadow_rays
+from ..structures import is_flat
+from ..work_list import make_work_list
 
 __all__ = ["DirectLightPass", "has_lights"]
 
@@ -66,9 +72,18 @@ class DirectLightPass:
     name = "direct light"
     debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_CHANNELS}
 
-    def __init__(self, device: str, settings: DirectLightSettings):
+    def __init__(self, device: str, settings: DirectLightSettings, reflections: ReflectionSettings | None = None):
+        """Make the pass.
+
+        Args:
+            device: Where it runs.
+            settings: Its settings.
+            reflections: Which reflections are traced: their rays show a share of the lights, direct light has the
+                rest. None: there are no such rays.
+        """
         self.device = device
         self.settings = settings
+        self.reflections = reflections
         self.width = self.height = 0
 
     def resize(self, width: int, height: int) -> None:
@@ -101,6 +116,7 @@ class DirectLightPass:
         self._rays_for = (filtered, programs)
         self.rays = make_shadow_rays(self.slots, self.device, layers=filtered, programs=programs)
         self.queue = make_queue(self.slots if filtered or programs else 1, self.device)
+        self.layered = make_work_list(self.slots if filtered else 1, self.device)
 
     def reset(self) -> None:
         """Forget all history."""
@@ -109,7 +125,7 @@ class DirectLightPass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
-        textured: bool, local_power: float,
+        textured: bool, local_power: float, lean_layers: bool = False,
     ) -> DirectLight:
         """Add the launches of a frame of one parity; return its light, valid until the next frame.
 
@@ -125,6 +141,7 @@ class DirectLightPass:
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             textured: Whether the emission of any sampled triangle is a program (EmitterTable.textured).
             local_power: Power of all lamps with a place and all emissive triangles [W], as the light tree was given.
+            lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
         """
         self._views = views
         with graph.section("Direct light"):
@@ -142,11 +159,21 @@ class DirectLightPass:
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options, local_power)
         with graph.section("Direct shadows"):
-            graph.launch(direct_shadow.trace_direct_shadows, self.slots, [scene], [self.rays])
+            flat = is_flat(scene)
+            trace = flat_tracing.trace_flat_shadows if flat else direct_shadow.trace_direct_shadows
+            graph.launch(trace, self.slots, [scene], [self.rays])
             shadows = [scene, make_options(filtered=filtered), 0]
             if filtered:
-                graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.rays])
-                graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.rays])
+                if flat:
+                    graph.launch(flat_tracing.trace_flat_shadow_layers, self.slots, shadows, [self.rays])
+                else:
+                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.rays])
+                if lean_layers:
+                    graph.fill_list(compaction.append_layered_shadows, self.slots, [self.rays], self.layered)
+                    graph.launch_listed(
+                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.rays])
+                else:
+                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.rays])
             if textured:
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
@@ -195,4 +222,11 @@ class DirectLightPass:
         options.reuse = self.settings.temporal_reuse if lights > self.settings.candidates else 0
         options.half_rate = int(self.settings.half_rate)
         options.full = int(any(self._rays_for))
+        options.rays = int(self.reflections is not None)
+        if self.reflections is not None:
+            options.reflection.width, options.reflection.height = self.width, self.height
+            options.reflection.lobe = int(LOBE_REFLECTION)
+            options.reflection.traced = self.reflections.roughness_traced
+            options.reflection.diffuse = self.reflections.roughness_diffuse
+            options.reflection.blend = self.reflections.roughness_blend
         return options

@@ -6,6 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from ...kernels import (
+    compaction,
+    flat_tracing,
     gbuffer_debug,
     gbuffer_layers,
     gbuffer_layers_lean,
@@ -17,11 +19,14 @@ from ...kernels import (
 from ...kernels.gbuffer import GBuffer
 from ...kernels.gbuffer_rays import PrimaryHits
 from ...kernels.motion import Motion
+from ...kernels.pixel_order import PIXEL_BLOCK
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History
+from ..structures import is_flat
+from ..work_list import make_work_list
 
 __all__ = ["GBufferPass"]
 
@@ -35,6 +40,8 @@ DEBUG_CHANNELS = {
     "gbuffer.normal": gbuffer_debug.GBUFFER_NORMAL,
     "gbuffer.albedo": gbuffer_debug.GBUFFER_ALBEDO,
     "gbuffer.specular": gbuffer_debug.GBUFFER_SPECULAR,
+    "gbuffer.transmitted": gbuffer_debug.GBUFFER_TRANSMITTED,
+    "gbuffer.coat": gbuffer_debug.GBUFFER_COAT,
     "gbuffer.roughness": gbuffer_debug.GBUFFER_ROUGHNESS,
     "gbuffer.depth": gbuffer_debug.GBUFFER_DEPTH,
     "gbuffer.motion": gbuffer_debug.GBUFFER_MOTION,
@@ -72,6 +79,7 @@ class GBufferPass:
         """Allocate what only scenes with transparent layers need."""
         self._fill(self.hits, {
             "layer_t": wp.float32, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "weight": wp.vec3}, count)
+        self.layered = make_work_list(count, self.device)
 
     def reset(self) -> None:
         """Forget the frame before."""
@@ -101,17 +109,21 @@ class GBufferPass:
             all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
         """
-        count, width, gbuffer, hits = self.width * self.height, self.width, self.current(parity), self.hits
+        width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
+        count, side = width * height, int(PIXEL_BLOCK)
+        in_blocks = -(-width // side) * -(-height // side) * side * side
         if filtered and len(hits.weight) != count:
             self._fit_layers(count)
         with graph.section("Primary rays"):
-            graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
+            if is_flat(scene):
+                graph.launch(flat_tracing.trace_flat_primary, in_blocks, [views, scene, width, height], [hits])
+            else:
+                graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
             if filtered:
-                graph.launch(gbuffer_rays.trace_primary_layers, count, [views, scene, width], [hits])
-                walk = gbuffer_layers_lean.filter_primary_lean if lean_layers else gbuffer_layers.filter_primary
-                graph.launch(walk, count, [views, scene, width], [hits])
+                self._record_layers(graph, scene, views, in_blocks, lean_layers)
         with graph.section("Materials"):
-            graph.launch(gbuffer_lean.shade_lean, count, [views, scene, width, int(filtered), hits], [gbuffer])
+            graph.launch(
+                gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, int(filtered), hits], [gbuffer])
             if not all_lean or scene.environment.constant == 0:
                 graph.launch(
                     gbuffer_materials.shade_primary, count, [views, scene, width, int(filtered), 1, hits], [gbuffer])
@@ -122,6 +134,21 @@ class GBufferPass:
                 reproject.reproject, count, [views, scene, motion, width, self.height, self.previous(parity)],
                 [gbuffer, self.reprojection])
         return gbuffer
+
+    def _record_layers(self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool) -> None:
+        """Record looking through the layers in front of what pixels show."""
+        width, height, hits = self.width, self.height, self.hits
+        if is_flat(scene):
+            graph.launch(flat_tracing.trace_flat_primary_layers, in_blocks, [views, scene, width, height], [hits])
+        else:
+            graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
+        if lean:
+            graph.fill_list(
+                compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
+            graph.launch_listed(
+                gbuffer_layers_lean.filter_primary_lean, [views, scene, width], self.layered, [hits])
+        else:
+            graph.launch(gbuffer_layers.filter_primary, width * height, [views, scene, width], [hits])
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` into `picture`, vec4 a pixel."""

@@ -21,8 +21,12 @@ from ...kernels import (
     cache_programs,
     cache_rays,
     cache_shade,
+    compaction,
+    flat_tracing,
     layers,
+    layers_lean,
     shadow_layers,
+    shadow_layers_lean,
     tracing,
 )
 from ...kernels.cache_cells import CacheControl
@@ -38,6 +42,8 @@ from ..frame_graph import FrameGraph
 from ..history import arrays_of
 from ..settings import CacheKey, CacheSettings
 from ..shadow_rays import make_options, make_queue
+from ..structures import is_flat
+from ..work_list import make_work_list
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -167,11 +173,20 @@ class RadianceCachePass:
         # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
         self._weighed = int(bounces > 0 and self.settings.bounces != 2)
         self.queue = make_queue(total if filtered else 1, self.device)
+        self.layered = make_work_list(total if filtered else 1, self.device)
+
+    def cells(self, minimum_cell: float) -> HashGrid:
+        """Return the cells for rays of other passes, with the smallest size [m] set (see smallest_cell).
+
+        Their samples of direct light must be added before the cache's own frame, which takes them in.
+        """
+        self.grid.minimum = minimum_cell
+        return self.grid
 
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
-        gbuffer: GBuffer | None = None, all_lean: bool = False,
+        gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -188,8 +203,9 @@ class RadianceCachePass:
             programs: Whether lights may be programs (DeviceScene.has_light_programs).
             gbuffer: For debug views alone.
             all_lean: Whether the lean node machine runs all flat programs (MaterialTable.lean).
+            lean_layers: Whether it runs all transparency programs.
         """
-        self._all_lean = all_lean
+        self._all_lean, self._lean_layers = all_lean, lean_layers
         self._fit(count, filtered)
         self.grid.minimum = minimum_cell
         self._views, self._gbuffer[parity] = views, gbuffer
@@ -218,11 +234,21 @@ class RadianceCachePass:
 
     def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
         """Record finding the hits of `count` rays from slot `offset` on."""
-        graph.launch(cache_rays.trace_cache_rays, count, [scene, offset], [self.paths])
+        flat = is_flat(scene)
+        trace = flat_tracing.trace_flat_rays if flat else cache_rays.trace_cache_rays
+        graph.launch(trace, count, [scene, offset], [self.paths])
         if self._layers:
             queue = self.queue[offset : offset + count]
-            graph.launch_queued(tracing.trace_layers, [scene], queue, [self.paths])
-            graph.launch_queued(layers.filter_paths, [scene], queue, [self.paths])
+            if flat:
+                graph.launch(flat_tracing.trace_flat_layers, count, [scene, offset], [self.paths])
+            else:
+                graph.launch_queued(tracing.trace_layers, [scene], queue, [self.paths])
+            if self._lean_layers:
+                layered = self.layered.part(offset, count)
+                graph.fill_list(compaction.append_layered_paths, count, [self.paths, offset], layered)
+                graph.launch_listed(layers_lean.filter_paths_lean, [scene], layered, [self.paths])
+            else:
+                graph.launch_queued(layers.filter_paths, [scene], queue, [self.paths])
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
@@ -247,11 +273,21 @@ class RadianceCachePass:
                 cache_lights.choose_cache_lights, total, [views, scene, self.vertices, self._weighed],
                 [self.paths])
         with graph.section("Cache shadow rays"):
-            graph.launch(cache_rays.trace_cache_shadows, total, [scene, int(self._layers)], [self.paths])
+            flat = is_flat(scene)
+            trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
+            graph.launch(trace, total, [scene, int(self._layers)], [self.paths])
             if self._layers:
                 shadows = [scene, make_options(filtered=True), 1]
-                graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.paths])
-                graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
+                if flat:
+                    graph.launch(flat_tracing.trace_flat_shadow_layers, total, shadows, [self.paths])
+                else:
+                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.paths])
+                if self._lean_layers:
+                    graph.fill_list(compaction.append_layered_shadows, total, [self.paths], self.layered)
+                    graph.launch_listed(
+                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.paths])
+                else:
+                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
             if programs:
                 graph.launch(cache_programs.finish_cache_lights, total, [scene], [self.paths])
 

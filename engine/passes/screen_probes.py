@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels import (
+    compaction,
     probe_blend,
     probe_contact,
     probe_debug,
@@ -22,11 +23,13 @@ from ...kernels import (
     probe_place,
     probe_records,
     probe_sample,
+    reflection_probes,
 )
 from ...kernels import probe_spawn as spawn
 from ...kernels.gbuffer import GBuffer
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.probe_types import BANDS, CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
+from ...kernels.reflection_types import ReflectionOptions, ReflectionSamples
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
@@ -34,6 +37,7 @@ from ..device import launch
 from ..frame_graph import FrameGraph
 from ..lobe_moments import lobe_moments
 from ..settings import ProbeSettings
+from ..work_list import make_work_list
 
 __all__ = ["ScreenProbePass"]
 
@@ -97,12 +101,15 @@ class ScreenProbePass:
         grid.exact, grid.history = int(self.settings.energy_exact), float(self.settings.history)
         self.grid = grid
         self.pool = self._allocate(ProbePool, POOL, grid.slots)
+        # A word for each cell loads at once.
+        self.maps = self.pool.radiance.view(wp.uint64)
         self.tiles = self._allocate(ProbeTiles, TILES, self.tile_count)
         self.updates = self._allocate(ProbeUpdates, UPDATES, self.update_count)
         self.rays = self._allocate(ProbeRays, RAYS, self.update_count)
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
         self.specular_ratio = wp.zeros(width * height, dtype=wp.float16, device=self.device)
         """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w])"""
+        self.unfilled = make_work_list(width * height, self.device)
         self.records = wp.zeros(2 * self.tile_count * int(probe_records.RECORD), dtype=wp.uint64, device=self.device)
         self.moments = lobe_moments(self.device)
         self.contact = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
@@ -174,8 +181,10 @@ class ScreenProbePass:
             graph.launch(probe_records.record_probes, 2 * self.tile_count, [grid, views, tiles, pool], [self.records])
             graph.launch(probe_interpolate.interpolate_probes, self.tile_count * TILE * TILE,
                          [grid, views, gbuffer, self.records, pool, self.moments], images)
-            graph.launch(probe_interpolate.fill_gaps, self.width * self.height,
-                         [grid, views, gbuffer, self.records, tiles, pool, self.moments], images)
+            graph.fill_list(compaction.append_unfilled, self.width * self.height, [self.irradiance], self.unfilled)
+            graph.launch_listed(
+                probe_interpolate.fill_gaps, [grid, views, gbuffer, self.records, tiles, pool, self.moments],
+                self.unfilled, images)
         if self.settings.contact_detail:
             with graph.section("Contact detail"):
                 graph.launch(probe_contact.add_contact, self.width * self.height,
@@ -184,6 +193,25 @@ class ScreenProbePass:
         else:
             graph.skip("contact detail", "switched off")
         return self.irradiance
+
+    def record_look_ups(
+        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, options: ReflectionOptions, source: wp.array,
+        samples: ReflectionSamples,
+    ) -> None:
+        """Record answering reflections from the probes; comes after record_light().
+
+        Args:
+            graph: Takes the launch.
+            views: One View.
+            gbuffer: Of this frame.
+            options: Of the reflections.
+            source: uint8 for each block; SOURCE_PROBE (reflection_types.py) where it asks the probes.
+            samples: Have `place`; get the rest for these blocks.
+        """
+        graph.launch(
+            reflection_probes.look_up_probes, options.columns * options.rows,
+            [options, source, self.grid, views, gbuffer, self.records, self.pool, self.maps, self.irradiance,
+             self.specular_ratio, self.moments], [samples])
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record showing one of `debug_views` as linear colours, one vec4 per pixel."""

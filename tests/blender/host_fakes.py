@@ -15,7 +15,8 @@ from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import Change, Integrator
 
 CHANNELS = {"Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
-            "Object Index": 1, "Material Index": 1, "Diffuse Direct": 3, "Diffuse Indirect": 3, "Diffuse Color": 3}
+            "Object Index": 1, "Material Index": 1} | {
+    f"{lobe} {part}": 3 for lobe in ("Diffuse", "Glossy", "Transmission") for part in ("Direct", "Indirect", "Color")}
 
 
 class FakeSession:

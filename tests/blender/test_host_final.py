@@ -114,20 +114,20 @@ assert "Depth" not in pictures[1][2]
 
 
 def test_integrators_have_different_passes(run_host):
-    """Give the passes of diffuse light with the real-time integrator, and say that they are missing with the other."""
+    """Give the passes of light by lobes with the real-time integrator, and say that they are missing with the other."""
     run_host("""
 from burnish.addon import report
 layer = scene.view_layers[0]
 scene.use_nodes = True
-for name in ("direct", "indirect", "color"):
-    setattr(layer, f"use_pass_diffuse_{name}", True)
-light = {"Diffuse Direct", "Diffuse Indirect", "Diffuse Color"}
+light = {f"{lobe} {part}" for lobe in ("Diffuse", "Glossy", "Transmission") for part in ("Direct", "Indirect", "Color")}
+for name in light:
+    setattr(layer, f"use_pass_{name.lower().replace(' ', '_')}", True)
 for integrator, expected in (('REALTIME', {"Combined"} | light), ('REFERENCE', {"Combined"})):
     scene.burnish.sampling.integrator = integrator
     bpy.ops.render.render()
     assert set(pictures[-1][2]) == expected, pictures[-1][2].keys()
     said = [entry.message for entry in report.published("Render").entries() if "is left out" in entry.message]
-    assert len(said) == (3 if integrator == 'REFERENCE' else 0), said
+    assert len(said) == (9 if integrator == 'REFERENCE' else 0), said
 """)
 
 

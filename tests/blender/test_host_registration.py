@@ -115,6 +115,9 @@ class Layout:
         module, function = name.split(".")
         getattr(getattr(bpy.ops, module), function).get_rna_type()
         return SimpleNamespace()
+    def operator_menu_enum(self, name, property, text):
+        assert property in getattr(bpy.ops, name.split(".")[0]).apply_preset.get_rna_type().properties
+        assert text == "Preset: Balanced", text
     def label(self, text="", **options): assert isinstance(text, str)
     def separator(self): pass
     def template_preview(self, data): pass
@@ -150,11 +153,39 @@ for light, integrator in zip(lamps, ('REFERENCE', 'REALTIME') * 2):
                 panel.draw_header(instance, context)
 both = {"integrator", "samples", "energy", "use_pass_emit", "visible_shadow", "max_bounces"}
 assert both | {"spot_size"} <= drawn_by['REFERENCE'], drawn_by
-from burnish.engine.settings import CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, setting_info
-groups = (CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings)
-realtime = {name for group in groups for name in setting_info(group)} | {"view"}
+from burnish.engine.settings import (
+    CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings, setting_info)
+groups = (CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings)
+realtime = {name for group in groups for name in setting_info(group)} | {"view", "viewport_preset"}
 assert both | {"angle", "size_y"} | realtime <= drawn_by['REALTIME'], (drawn_by, realtime)
-assert not realtime & drawn_by['REFERENCE'], drawn_by
+# Final renders of both integrators can be denoised.
+assert realtime & drawn_by['REFERENCE'] == {"final_denoise"}, drawn_by
+burnish.unregister()
+""")
+
+
+def test_presets_set_the_scene(run_python):
+    """Apply each preset and recognise it; give viewports one of their own."""
+    run(run_python, """
+from burnish.engine.presets import PRESETS, apply_preset
+from burnish.engine.settings import Preset, RenderSettings
+burnish.register()
+from burnish.addon.extract.settings import settings_from_scene
+from burnish.ui.presets import current_preset
+scene = bpy.context.scene
+scene.burnish.sampling.samples = 7
+assert current_preset(scene.burnish) == Preset.BALANCED
+for preset in PRESETS:
+    assert bpy.ops.burnish.apply_preset(preset=preset.name) == {'FINISHED'}
+    assert current_preset(scene.burnish) == preset
+    read = settings_from_scene(scene, viewport=False)
+    assert read.sampling.samples == 7 and read.cache == apply_preset(RenderSettings(), preset).cache
+    assert read.reflections == apply_preset(RenderSettings(), preset).reflections
+scene.burnish.reflections.roughness_traced = 0.3
+assert current_preset(scene.burnish) == Preset.CUSTOM
+scene.burnish.sampling.viewport_preset = 'DRAFT'
+assert settings_from_scene(scene, viewport=True).probes.spawn_tile == 32
+assert settings_from_scene(scene, viewport=False).probes.spawn_tile == 16
 burnish.unregister()
 """)
 

@@ -15,6 +15,7 @@ import argparse
 import importlib
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -73,7 +74,7 @@ def measure(path: Path, options: argparse.Namespace, totals: Table, sections: Ta
     measured.close()
 
 
-def timed(measured: Measured, work: object) -> float:
+def timed(measured: Measured, work: Callable[[], object]) -> float:
     """Return the wall seconds of some work, waited for once."""
     import time
 
@@ -84,10 +85,8 @@ def timed(measured: Measured, work: object) -> float:
     return time.perf_counter() - start
 
 
-def shares(name: str, measured: Measured, frames: object, table: Table) -> None:
-    """Add the median milliseconds and share of each section, in the frame's order."""
-    if not hasattr(measured.session, "frame_times"):
-        return
+def section_medians(measured: Measured, frames: Callable[[int], None]) -> dict[str, float]:
+    """Return the median milliseconds of each section of TIMED frames, in the frame's order."""
     measured.session.timed = True
     runs: list[dict[str, float]] = []
     for _ in range(TIMED):
@@ -95,7 +94,12 @@ def shares(name: str, measured: Measured, frames: object, table: Table) -> None:
         runs.append(dict(measured.session.frame_times))
     measured.session.timed = False
     names = list(dict.fromkeys(key for run in runs for key in run))
-    median = {key: float(np.median([run.get(key, 0.0) for run in runs])) for key in names}
+    return {key: float(np.median([run.get(key, 0.0) for run in runs])) for key in names}
+
+
+def shares(name: str, measured: Measured, frames: Callable[[int], None], table: Table) -> None:
+    """Add the median milliseconds and share of each section."""
+    median = section_medians(measured, frames)
     total = sum(median.values())
     for key, value in median.items():
         table.add(name, key, value, 100.0 * value / max(total, 1e-9))

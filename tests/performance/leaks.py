@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measure energy, leaks and the speed of changes on scenes made in code, each against its goal. Run by hand.
 
-    python tests/performance/leaks.py [--device cuda] [--size 320 180] [--only furnace,wall] [--long]
+    python tests/performance/leaks.py [--device cuda] [--size 320 180] [--only furnace,wall,balls,boxes] [--long]
         [--set GROUP.FIELD=VALUE] [--output out/leaks]
 
---long adds 10,000 frames of the furnace. The checks are tests/light_checks.py; needs no Blender.
+--long adds 10,000 frames of the furnace. The checks are tests/light_checks.py and tests/glossy_checks.py (balls: white
+ones of every roughness in a white world; boxes: closed ones that emit and reflect); needs no Blender.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from tests.performance.sheets import Table, save_sheet, tone  # noqa: E402
 
 def all_checks(long: bool) -> dict[str, list[Callable]]:
     """Return the checks by name, each a function of a Setup."""
+    from tests import glossy_checks as g
     from tests import light_checks as c
 
     furnaces = [lambda s, a=a, t=t: c.furnace(s, a, 256, t) for a, t in (
@@ -38,6 +40,11 @@ def all_checks(long: bool) -> dict[str, list[Callable]]:
         "contact": [lambda s: c.contact(s, 64)],
         "switch": [c.light_switch, lambda s: c.light_switch(s, kept=1)],
         "mover": [c.mover],
+        "balls": [lambda s, k=k: g.white_balls(s, k, 64) for k in (
+            ("plastic", "metal"), ("coated plastic", "coated metal"), ("half metal", "glass"))],
+        "boxes": [lambda s, m=m, r=r: g.glossy_box(s, 256, metallic=m, roughness=r)
+                  for m in (0.0, 1.0) for r in g.ROUGHNESSES] + [
+            lambda s: g.glossy_box(s, 256, roughness=0.6, coat=1.0, coat_roughness=0.05)],
     }
     if long:
         checks["drift"] = [lambda s, a=a, t=t: c.furnace(s, a, 10000, t) for a, t in ((0.5, 0.01), (0.95, 0.02))]

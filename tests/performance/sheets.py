@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Labelled pictures side by side as PNG files, maps of FLIP, and Markdown tables, for the measuring scripts."""
+"""Labelled pictures side by side as PNG files, maps of errors, and tables (Markdown, JSON), for measuring scripts."""
 
 from __future__ import annotations
 
 import importlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,9 +32,16 @@ def flip_map(reference: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, float
     return np.asarray(picture, np.float32), float(mean)
 
 
-def save_sheet(path: Path, rows: Sequence[Sequence[tuple[np.ndarray, str]]], shrink: int = 1) -> None:
+def error_map(reference: np.ndarray, test: np.ndarray, gain: float = 4.0, exposure: float = 0.0) -> np.ndarray:
+    """Return the difference of two scene-linear pictures as displayed, enlarged."""
+    return np.clip(gain * np.abs(tone(test, exposure) - tone(reference, exposure)), 0.0, 1.0)
+
+
+def save_sheet(
+    path: Path, rows: Sequence[Sequence[tuple[np.ndarray, str]]], shrink: int = 1, narrow: int = NARROW,
+) -> None:
     """Save a grid of (sRGB picture [h, w, 3], label), bottom row of each picture first, all of one size."""
-    grow = max(1, -(-NARROW // rows[0][0][0].shape[1]))
+    grow = max(1, -(-narrow // rows[0][0][0].shape[1]))
     rows = [[(np.repeat(np.repeat(picture, grow, 0), grow, 1), label) for picture, label in row] for row in rows]
     height, width = (side // shrink for side in rows[0][0][0].shape[:2])
     columns = max(len(row) for row in rows)
@@ -60,11 +68,13 @@ class Table:
     def __init__(self, columns: Sequence[str]):
         self.columns = list(columns)
         self.rows: list[list[str]] = []
+        self.values: list[dict[str, Any]] = []
 
     def add(self, *cells: Any) -> None:
         """Add a row: floats get four significant digits."""
         row = [f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in cells]
         self.rows.append(row)
+        self.values.append(dict(zip(self.columns, cells, strict=True)))
         print("  ".join(f"{name} {cell}" if name else cell for name, cell in zip(self.columns, row, strict=True)),
               flush=True)
 
@@ -78,3 +88,8 @@ class Table:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(f"\n## {title}\n\n{legend}{chr(10) * 2 if legend else ''}{self.markdown()}")
+
+    def save_json(self, path: Path) -> None:
+        """Write all rows, by column, with all digits."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self.values, indent=1, default=float) + "\n", encoding="utf-8")

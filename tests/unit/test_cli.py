@@ -62,6 +62,7 @@ def test_options_repeat_the_settings(capfd: pytest.CaptureFixture) -> None:
     (("render", "a.blend", "-o", "a.exr", "--device", "tpu"), "tpu"),
     (("render", "a.blend", "-o", "a.exr", "--frame", "x"), "--frame"),
     (("render", "a.blend", "-o", "a.exr", "--integrator", "fast"), "fast"),
+    (("render", "a.blend", "-o", "a.exr", "--preset", "custom"), "custom"),
     (("render", "a.blend", "-o", "a.exr", "--debug-view", "nothing"), "nothing"),
     (("render", "a.blend", "-o", "a.exr", "--debug-view", "gbuffer.normal", "--integrator", "reference"),
      "has no debug views; use --integrator realtime."),

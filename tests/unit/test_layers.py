@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The structure of the package: which layer may import what, and the manners every file keeps.
 
-Layers, top first: addon (bpy, engine; ui and nothing else from register) and ui (bpy, engine.settings), engine
-(kernels, Warp, NumPy; OpenImageIO in two files), kernels (Warp).
+Layers, top first: addon (bpy, engine; ui and nothing else from register) and ui (bpy, engine.settings and presets),
+engine (kernels, Warp, NumPy; OpenImageIO in two files), kernels (Warp).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ INSIDE = {
     "kernels": {"kernels"},
     "engine": {"engine", "kernels"},
     "addon": {"addon", "engine"},
-    "ui": {"ui", "engine.settings"},
+    "ui": {"ui", "engine.presets", "engine.settings"},
 }
 """Modules of the package that each layer may import."""
 KERNEL_STANDARD_LIBRARY = {"__future__", "math", "typing"}

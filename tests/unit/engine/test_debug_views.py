@@ -15,6 +15,7 @@ from burnish.engine.session import Session
 from burnish.engine.settings import CacheSettings, DebugSettings, DenoiserSettings, Integrator, SamplingSettings
 
 from tests import scenes
+from tests.glossy_scenes import metal
 
 SETTINGS = dataclasses.replace(
     scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME), cache=CacheSettings(capacity=14))
@@ -23,7 +24,7 @@ SETTINGS = dataclasses.replace(
 def test_table_names_what_the_passes_draw(device: str) -> None:
     """Have the same names in the table and in the passes of a frame."""
     pipeline = Pipeline(device)
-    pipeline.configure(SETTINGS, 8, 8, False)
+    pipeline.configure(SETTINGS, 8, 8, ())
     drawn = [name for each in (*pipeline.passes, RestBlend(device)) for name in each.debug_views]
     assert len(drawn) == len(set(drawn))
     assert set(drawn) == set(DEBUG_VIEWS), set(drawn) ^ set(DEBUG_VIEWS)
@@ -32,14 +33,14 @@ def test_table_names_what_the_passes_draw(device: str) -> None:
 
 @pytest.fixture(scope="module")
 def session() -> Session:
-    """Return a session that has drawn some frames of a lit ball over a floor."""
+    """Return a session that has drawn some frames of a lit ball of metal over a floor."""
     lamp = LightData(name="Lamp", kind=LightKind.POINT, transform=scenes.place(x=1.0, y=-1.0, z=2.0),
                      color=(200.0, 150.0, 100.0), radius=0.2)
     made = Session(SETTINGS)
     made.update(scenes.delta(
         {"ball": scenes.sphere(0.5, 16), "floor": scenes.quad(2.0)},
-        [("ball", scenes.place(z=0.5), "grey"), ("floor", scenes.place(), "grey")],
-        {"grey": scenes.material(color=0.5)}, background=0.3, lights=[lamp]))
+        [("ball", scenes.place(z=0.5), "metal"), ("floor", scenes.place(), "grey")],
+        {"grey": scenes.material(color=0.5), "metal": metal(0.1)}, background=0.3, lights=[lamp]))
     show(made, "", 6)
     return made
 

@@ -28,6 +28,13 @@ def plane_and_ball(ball=(0.0, 0.0, 1.0), **fields):
         [("plane", np.eye(4), "grey"), ("ball", scenes.place(*ball), "grey")], GREY, **fields)
 
 
+def lacquered_glass():
+    """Return a material of rough glass under a sharper coat, of the name of GREY's."""
+    return {"grey": scenes.material(
+        "PRINCIPLED", color=0.9, roughness=0.6, ior=1.5, specular_level=0.5, specular_tint=1.0, transmission=0.5,
+        coat=1.0, coat_roughness=0.1, coat_ior=1.5, coat_tint=1.0, multiscatter=True)}
+
+
 def tilted_camera(height=3.0, angle=0.5, x=0.0):
     """Return a perspective camera that looks down at an angle [rad] from the vertical."""
     c, s = np.cos(angle), np.sin(angle)
@@ -123,6 +130,25 @@ def test_roughness_is_widened_where_normals_vary():
     # Squared change of the normal over a pixel's width w on radius r: 2 (w / r)^2; alpha^2 grows by 2 sigma^2 of it.
     near = np.sqrt(np.sqrt(0.1**4 + min(4.0 * 0.15915 * (2.0 / 25 / 0.5) ** 2, 0.18)))
     np.testing.assert_allclose(widths, [near, np.sqrt(np.sqrt(0.1**4 + 0.18))], rtol=0.03)
+
+
+def test_coat_and_glass_are_packed():
+    """Find the coat's albedo and roughness, widened as the base's, and what glass lets through."""
+    delta = plane_and_ball()
+    delta.materials = lacquered_glass()
+    frames = GBufferFrames(delta, (25, 25))
+    picture = frames.shot(scenes.camera_above(3.0, 1.0))
+    plane, ball = ({name: picture[name][i, i] for name in (
+        "coat", "coat_roughness", "roughness", "specular", "transmitted", "diffuse")} for i in (0, 12))
+    np.testing.assert_allclose([plane["coat_roughness"], plane["roughness"]], [0.1, 0.6], atol=1e-3)
+    added = ball["roughness"]**4 - 0.6**4
+    assert added > 1e-3
+    np.testing.assert_allclose(ball["coat_roughness"], (0.1**4 + added)**0.25, rtol=2e-3)
+    # Index 1.5 along the normal, and what the coat lets through to the base: half of it is glass.
+    np.testing.assert_allclose(ball["coat"], 0.04, atol=1e-3)
+    np.testing.assert_allclose(ball["specular"], 0.04 + 0.96 * 0.04, atol=0.01)
+    np.testing.assert_allclose(ball["transmitted"], 0.96 * 0.96 * np.sqrt(0.9) / 2, rtol=0.03)
+    np.testing.assert_allclose(ball["diffuse"], 0.96 * 0.96 * 0.9 / 2, rtol=0.02)
 
 
 def test_transparency_averages_to_alpha():
@@ -329,7 +355,9 @@ def test_restart_forgets():
 
 def test_debug_views_draw_everything():
     """Draw every view that the table names, each different from the others."""
-    frames = GBufferFrames(plane_and_ball(background=1.0), (24, 24))
+    delta = plane_and_ball(background=1.0)
+    delta.materials = lacquered_glass()
+    frames = GBufferFrames(delta, (24, 24))
     frames.shot(scenes.camera_above(3.0, 1.0))
     frames.update(SceneDelta(instances=plane_and_ball((0.2, 0.1, 1.0)).instances))
     frames.shot(scenes.camera_above(3.0, 1.0))

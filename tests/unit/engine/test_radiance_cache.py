@@ -60,7 +60,8 @@ class Rig:
             graph = FrameGraph(self.cache.device)
             self.cache.record(
                 graph, parity, self.scene.scene, self.views.array, self.rays, self.count, minimum_cell=self.minimum,
-                filtered=self.scene.structures.has_filtered, programs=self.scene.has_light_programs)
+                filtered=self.scene.structures.has_filtered, programs=self.scene.has_light_programs,
+                lean_layers=self.scene.material_table.lean.transparency)
             self.graphs.append(graph)
 
     def frame(self, origin, direction, t_max=1e18, lit=False):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from burnish.engine.debug_views import DEBUG_VIEWS
+from burnish.engine.passes.composite import LIGHT_PASSES
 from burnish.engine.scene import LightKind, SceneDelta
 from burnish.engine.session import Session
 from burnish.engine.settings import (
@@ -151,14 +152,19 @@ def test_every_debug_view_draws():
 
 
 def test_light_passes_make_up_the_picture():
-    """Read the light passes and put the diffuse picture together from them, as Blender's compositor does."""
+    """Read the light passes and put the picture together from them, as Blender's compositor does."""
     made = Session(REALTIME)
-    made.update(room())
-    names = ("Combined", "Diffuse Direct", "Diffuse Indirect", "Diffuse Color", "Depth")
-    made.configure(REALTIME, camera(), *SIZE, passes=names)
+    delta = room()
+    delta.materials = {"white": scenes.material(
+        "PRINCIPLED", color=0.7, roughness=0.4, ior=1.5, specular_level=0.5, specular_tint=1.0, transmission=0.3)}
+    made.update(delta)
+    made.configure(REALTIME, camera(), *SIZE, passes=("Combined", *LIGHT_PASSES, "Depth"))
     made.step(64)
-    direct, indirect, color = (made.read(name) for name in names[1:4])
-    total = (direct + indirect) * color
+    total = 0.0
+    for lobe in ("Diffuse", "Glossy", "Transmission"):
+        direct, indirect, color = (made.read(f"{lobe} {part}") for part in ("Direct", "Indirect", "Color"))
+        assert (color.mean() > 0.01) and (lobe == "Transmission" or direct.any()) and indirect.any(), lobe
+        total = total + (direct + indirect) * color
     combined = made.read()[..., :3]
     assert np.abs(total - combined).mean() < 0.02 * combined.mean()
     assert (made.read("Depth") < 4.0).all()

@@ -10,9 +10,16 @@ from burnish.engine.program import ProgramBuilder
 from burnish.engine.report import ReportKind
 from burnish.engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from burnish.engine.scene import MaterialData
-from burnish.engine.settings import DebugSettings, DenoiserSettings, Integrator, RenderSettings, SamplingSettings
+from burnish.engine.settings import (
+    DebugSettings,
+    DenoiserSettings,
+    Integrator,
+    ReflectionSettings,
+    RenderSettings,
+    SamplingSettings,
+)
 
-EVERYTHING = SceneFacts(reflective=3, refractive=2, translucent=1)
+EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, translucent=1)
 
 
 def material(kind: str, **arguments) -> MaterialData:
@@ -31,21 +38,23 @@ def realtime(samples: int = 1024, **changes) -> RenderSettings:
 @pytest.mark.parametrize(("kind", "arguments", "expected"), [
     ("DIFFUSE", {}, SceneFacts()),
     ("SHEEN", {"roughness": 0.1}, SceneFacts()),
-    ("GLOSSY", {"roughness": 0.59}, SceneFacts(reflective=1)),
-    ("GLOSSY", {"roughness": 0.6}, SceneFacts()),
-    ("GLOSSY", {"roughness": "UV"}, SceneFacts(reflective=1)),
-    ("GLASS", {"roughness": 0.9, "ior": 1.5}, SceneFacts(refractive=1)),
-    ("GLASS", {"roughness": 0.0, "ior": 1.5}, SceneFacts(refractive=1, reflective=1)),
+    ("GLOSSY", {"roughness": 0.25}, SceneFacts(reflective=(0.25,))),
+    ("GLOSSY", {"roughness": "UV"}, SceneFacts(reflective=(1.0,))),
+    ("GLOSSY", {"roughness": 0.25, "anisotropic": -0.5}, SceneFacts(reflective=(0.25,), anisotropic=1)),
+    ("GLASS", {"roughness": 0.75, "ior": 1.5}, SceneFacts(reflective=(0.75,), refractive=1)),
     ("REFRACTION", {"roughness": 0.0, "ior": 1.5}, SceneFacts(refractive=1)),
     ("TRANSLUCENT", {}, SceneFacts(translucent=1)),
-    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5, "specular_level": 0.5}, SceneFacts(reflective=1)),
+    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5, "specular_level": 0.5}, SceneFacts(reflective=(0.5,))),
     ("PRINCIPLED", {"roughness": 0.5, "ior": 1.0, "specular_level": 0.5}, SceneFacts()),
     ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5}, SceneFacts()),
-    ("PRINCIPLED", {"roughness": 0.8, "ior": 1.5, "specular_level": 0.5, "metallic": 1.0}, SceneFacts()),
-    ("PRINCIPLED", {"roughness": 0.8, "metallic": 1.0, "coat": "UV"}, SceneFacts(reflective=1)),
-    ("PRINCIPLED", {"roughness": 0.8, "transmission": 0.1}, SceneFacts(refractive=1)),
-    ("PRINCIPLED", {"roughness": 0.8, "subsurface": 1.0}, SceneFacts()),
-    ("PRINCIPLED", {"roughness": 0.8, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts(translucent=1)),
+    ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5, "anisotropic": 0.5}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.75, "metallic": 1.0, "anisotropic": "UV"},
+     SceneFacts(reflective=(0.75,), anisotropic=1)),
+    ("PRINCIPLED", {"roughness": 0.25, "metallic": 1.0, "coat": "UV", "coat_roughness": 0.5},
+     SceneFacts(reflective=(0.5,))),
+    ("PRINCIPLED", {"roughness": 0.75, "transmission": 0.1}, SceneFacts(refractive=1)),
+    ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0}, SceneFacts()),
+    ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts(translucent=1)),
 ])
 def test_facts_follow_the_closures(kind: str, arguments: dict, expected: SceneFacts) -> None:
     """Find what a BSDF has, and count what varies as if it had it."""
@@ -55,20 +64,33 @@ def test_facts_follow_the_closures(kind: str, arguments: dict, expected: SceneFa
 def test_facts_count_materials() -> None:
     """Count a material once whatever number of closures it has, and all materials that have something."""
     builder = ProgramBuilder()
-    for roughness in (0.1, 0.2):
+    for roughness in (0.125, 0.25):
         builder.closure("GLOSSY", builder.uv(""), color=(1.0, 1.0, 1.0), roughness=roughness)
     double = MaterialData(name="Double", program=builder.finish())
-    assert scene_facts([double, material("GLOSSY", roughness=0.3), material("DIFFUSE")]) == SceneFacts(reflective=2)
+    assert scene_facts([double, material("GLOSSY", roughness=0.5), material("DIFFUSE")]) == SceneFacts(
+        reflective=(0.25, 0.5))
 
 
 def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 1, 2, 3]
+    assert sorted(entry.count for entry in entries) == [1, 1, 2, 3, 4]
     text = " ".join(entry.message for entry in entries)
-    assert "reflect" in text and "refract" in text and "translucent" in text and "depth of field" in text
-    assert text.count("until the picture has rested for 256 frames") == 4
+    for word in ("reflections", "anisotropic", "refracted", "translucent", "depth of field"):
+        assert word in text, word
+    assert text.count("until the picture has rested for 256 frames") == 5
+
+
+@pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
+def test_rough_reflections_follow_the_setting(limit: float, count: int) -> None:
+    """Count the materials whose reflections take diffuse light by the scene's own limit."""
+    settings = realtime(reflections=ReflectionSettings(roughness_diffuse=limit, bounces=3))
+    entries = realtime_approximations(settings, EVERYTHING, 0.0).entries()
+    rough, = (entry for entry in entries if "take diffuse light" in entry.message)
+    assert rough.count == count and f"from {limit:g} on" in rough.message
+    assert any("at most 3 more surfaces" in entry.message for entry in entries)
+    assert not realtime_approximations(settings, SceneFacts(reflective=(0.02,)), 0.0).counts
 
 
 def test_nothing_is_said_without_need() -> None:
@@ -90,4 +112,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 4 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 5 and all(words in entry.message for entry in entries), entries

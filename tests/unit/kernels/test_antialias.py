@@ -11,7 +11,7 @@ import warp as wp
 from burnish.engine.pixel_filter import filter_table
 from burnish.engine.settings import PixelFilter
 from burnish.kernels import antialias, debug_colors
-from burnish.kernels.antialias import Accumulation
+from burnish.kernels.antialias import Accumulation, ColorWords
 from burnish.kernels.view import View
 
 W, H = 48, 32
@@ -59,12 +59,13 @@ class Frames:
         old, new = self.buffers[1 - self.frame % 2], self.buffers[self.frame % 2]
         inputs = [
             wp.array(row, dtype=View, device=self.device),
-            wp.array(color.reshape(-1, 4).astype(np.float16), dtype=wp.vec4h, device=self.device),
+            wp.array(color.reshape(-1, 4).astype(np.float16), dtype=wp.vec4h, device=self.device).view(wp.uint64),
             wp.array(np.broadcast_to(depth, (H, W)).astype(np.float32).ravel(), dtype=float, device=self.device),
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        wp.launch(antialias.antialias, W * H, [0, *inputs, old, W, H, enabled], [new], device=self.device)
+        inputs += [old, old.color.view(ColorWords), W, H, enabled]
+        wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
     @property

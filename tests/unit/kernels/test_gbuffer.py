@@ -34,6 +34,10 @@ LOBES = {
     "plain metal": {"metallic": 1.0, "roughness": 0.8, "multiscatter": 0},
     "clay": {"diffuse_roughness": 1.0, "specular_level": 0.0, "color": (0.7, 0.4, 0.1)},
     "coat": {"coat": 1.0, "color": (0.6, 0.1, 0.1), "roughness": 0.7, "coat_tint": (1.0, 0.8, 0.6)},
+    "rough coat": {"coat": 1.0, "color": (0.6, 0.1, 0.1), "roughness": 0.9, "coat_roughness": 0.4},
+    "coated metal": {"coat": 1.0, "metallic": 1.0, "color": (0.9, 0.5, 0.1), "roughness": 0.5, "coat_roughness": 0.1},
+    "coated mirror": {"coat": 0.5, "metallic": 1.0, "roughness": 0.06},
+    "coat alone": {"coat": 1.0, "color": (0.1, 0.1, 0.1), "specular_level": 0.0, "coat_roughness": 0.3},
     "sheen": {"sheen": 1.0, "color": (0.2, 0.2, 0.3), "specular_level": 0.0},
     "thin leaf": {"thin_wall": 1, "subsurface": 1.0, "color": (0.3, 0.6, 0.1)},
     "glass": {"transmission": 1.0, "roughness": 0.2},
@@ -54,13 +58,14 @@ def measure_albedos(
     # Out:
     table_out: wp.array2d[wp.vec3], integral_out: wp.array2d[wp.vec3],
 ):
-    """Write diffuse, translucent and specular albedo of case i, and the same integrals by sampling."""
+    """Write diffuse, translucent, specular and transmitted albedo of case i, and the same integrals by sampling."""
     i = wp.tid()
     bsdf = prepare_bsdf(tables, closures[i], points[i])
     albedo = bsdf_albedo(tables, bsdf, points[i].wo)
     table_out[i, 0] = albedo.diffuse
     table_out[i, 1] = albedo.translucent
     table_out[i, 2] = albedo.specular
+    table_out[i, 3] = albedo.transmitted
     for k in range(samples):
         u = sample_pair(wp.uint32(i), wp.uint32(k), 0)
         v = sample_pair(wp.uint32(i), wp.uint32(k), 1)
@@ -72,8 +77,8 @@ def measure_albedos(
                 bare = bsdf
                 bare.pick_sheen = 0.0
                 diffuse = evaluate_bsdf(bare, points[i].wo, s.wi).diffuse / s.pdf
-            integral_out[i, 2] = integral_out[i, 2] + (s.weight - diffuse) / float(samples)
             side = wp.where(s.wi[2] > 0.0, 0, 1)
+            integral_out[i, 2 + side] = integral_out[i, 2 + side] + (s.weight - diffuse) / float(samples)
             integral_out[i, side] = integral_out[i, side] + diffuse / float(samples)
 
 
@@ -82,9 +87,9 @@ def fit_and_integrate(
     # In:
     tables: Tables, closures: wp.array[Closure], points: wp.array[ShadingPoint], samples: int,
     # Out:
-    gbuffer_out: GBuffer, reflected_out: wp.array[wp.vec3], integral_out: wp.array[wp.vec3],
+    gbuffer_out: GBuffer, specular_out: wp.array[wp.vec3], integral_out: wp.array[wp.vec3],
 ):
-    """Pack case i's material and integrate the lobe that comes out again."""
+    """Pack case i's material and integrate the lobes that come out again."""
     i = wp.tid()
     wo = points[i].wo
     bsdf = prepare_bsdf(tables, closures[i], points[i])
@@ -95,14 +100,16 @@ def fit_and_integrate(
     material.diffuse = albedo.diffuse
     material.translucent = albedo.translucent
     material.specular = albedo.specular
+    material.coat = albedo.coat
+    material.coat_roughness = albedo.coat_roughness
     store_material(gbuffer_out, i, material)
-    reflected_out[i] = albedo.reflected
+    specular_out[i] = albedo.specular
     unpacked = load_material(gbuffer_out, i)
     surface = Surface()
     surface.normal = wp.vec3(0.0, 0.0, 1.0)
     surface.geometric_normal = surface.normal
     total = wp.vec3(0.0)
-    # Sampled by the real BSDF: the fitted lobe is where it is.
+    # Sampled by the real BSDF: the fitted lobes are where it is.
     for k in range(samples):
         u = sample_pair(wp.uint32(i), wp.uint32(k), 0)
         v = sample_pair(wp.uint32(i), wp.uint32(k), 1)
@@ -136,8 +143,8 @@ def make_gbuffer(count: int) -> GBuffer:
 def test_albedos_are_the_lobes_integrals(name: str) -> None:
     """Compare table look-ups with integration by sampling, for views from steep to shallow."""
     closures, points = run_cases([name], [0.95, 0.7, 0.4, 0.2])
-    table = wp.zeros((4, 3), dtype=wp.vec3, device="cpu")
-    integral = wp.zeros((4, 3), dtype=wp.vec3, device="cpu")
+    table = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
+    integral = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
     wp.launch(measure_albedos, 4, [albedo_tables("cpu"), device_array(closures, Closure),
                                    device_array(points, ShadingPoint), SAMPLES], [table, integral], device="cpu")
     # Refraction without Fresnel has no table of its own: that of glass stands in.
@@ -145,19 +152,36 @@ def test_albedos_are_the_lobes_integrals(name: str) -> None:
     np.testing.assert_allclose(table.numpy(), integral.numpy(), atol=0.012, rtol=tolerance)
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [
-    ("plastic", 0.03), ("smooth plastic", 0.03), ("rough plastic", 0.03), ("gold", 0.03), ("white metal", 0.03),
-    ("tinted metal", 0.03), ("half metal", 0.03), ("plain metal", 0.03), ("glossy", 0.03), ("coat", 0.1)])
-def test_packed_lobe_keeps_the_albedo(name: str, tolerance: float) -> None:
-    """Pack and unpack the specular lobe and integrate it: as much is reflected as by the material."""
+@pytest.mark.parametrize("name", [
+    "plastic", "smooth plastic", "rough plastic", "gold", "white metal", "tinted metal", "half metal", "plain metal",
+    "glossy", "coat", "rough coat", "coated metal", "coated mirror", "coat alone", "sheen", "glass"])
+def test_packed_lobes_keep_the_albedo(name: str) -> None:
+    """Pack and unpack the reflecting lobes and integrate them: as much is reflected as by the material."""
     cosines = [0.95, 0.7, 0.4, 0.2]
     closures, points = run_cases([name], cosines)
     packed = make_gbuffer(len(cosines))
     outputs = [packed, *(wp.zeros(len(cosines), dtype=wp.vec3, device="cpu") for _ in range(2))]
-    wp.launch(fit_and_integrate, len(cosines), [
-        albedo_tables("cpu"), device_array(closures, Closure), device_array(points, ShadingPoint), SAMPLES], outputs,
-        device="cpu")
-    np.testing.assert_allclose(outputs[2].numpy(), outputs[1].numpy(), rtol=tolerance)
+    inputs = [albedo_tables("cpu"), device_array(closures, Closure), device_array(points, ShadingPoint)]
+    wp.launch(fit_and_integrate, len(cosines), [*inputs, 4 * SAMPLES], outputs, device="cpu")
+    # A rough coat's albedo is a fit, see specular_lobes.coat_albedo.
+    np.testing.assert_allclose(outputs[2].numpy(), outputs[1].numpy(), rtol=0.04 if name == "rough coat" else 0.02)
+
+
+@pytest.mark.parametrize(("name", "coat", "roughness"), [
+    ("coat", 0.03, 0.7), ("coated metal", 0.1, 0.5), ("coated mirror", 0.0, 0.06), ("coat alone", 0.0, 0.3)])
+def test_a_coat_is_a_lobe_of_its_own_where_it_shows(name: str, coat: float, roughness: float) -> None:
+    """Keep the coat's roughness and the base's apart unless one lobe can stand for both."""
+    closures, points = run_cases([name], [0.7])
+    packed = make_gbuffer(1)
+    outputs = [packed, *(wp.zeros(1, dtype=wp.vec3, device="cpu") for _ in range(2))]
+    wp.launch(fit_and_integrate, 1, [albedo_tables("cpu"), device_array(closures, Closure),
+                                     device_array(points, ShadingPoint), 1], outputs, device="cpu")
+    material, coated = int(packed.material.numpy()[0]), int(packed.coat.numpy()[0])
+    assert bool(material & int(gbuffer.SURFACE_COATED)) == (coat > 0.0)
+    assert (material & 65535) / 65535 == pytest.approx(roughness, abs=5e-3)
+    if coat > 0.0:
+        assert (coated >> 16) / 65535 == pytest.approx(coat, abs=1e-4)
+        assert 0.04 < (coated & 65535) / 65535 < 0.06
 
 
 @wp.kernel

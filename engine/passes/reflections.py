@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Samples of glossy reflections, or of refraction: one for each block of pixels and frame (Eto et al. 2023).
+
+A frame in two halves, around the radiance cache. `record_rays` chooses the pixels, traces rays over mirrors and
+through glass and puts their hits into the cache, so that they are lit like those of probe rays; `record_samples`
+reads the cache there and asks the probes about rougher surfaces. Denoising is a pass of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import warp as wp
+
+from ...kernels import (
+    cache_cells,
+    cache_programs,
+    cache_rays,
+    compaction,
+    flat_tracing,
+    layers,
+    layers_lean,
+    reflection_choice,
+    reflection_debug,
+    reflection_lamps,
+    reflection_lean,
+    reflection_materials,
+    reflection_place,
+    reflection_refract,
+    reflection_resolve,
+    reflection_screen,
+    reflection_start,
+    reflection_trace,
+    shadow_layers,
+    shadow_layers_lean,
+    tracing,
+)
+from ...kernels.cache_cells import CacheControl
+from ...kernels.cache_rays import Vertices
+from ...kernels.environment_split import EnvironmentSplit
+from ...kernels.gbuffer import GBuffer
+from ...kernels.hash_grid import HashGrid
+from ...kernels.motion import Motion
+from ...kernels.paths import Paths
+from ...kernels.reflection_rays import ReflectionRays
+from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
+from ...kernels.types import Scene
+from ..debug_views import DEBUG_VIEWS
+from ..frame_graph import FrameGraph
+from ..settings import ReflectionResolution, ReflectionSettings
+from ..shadow_rays import make_options, make_queue
+from ..structures import is_flat
+from ..work_list import WorkList, make_work_list
+from .radiance_cache import BOUNCE_ARRAYS, LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS, VERTEX_ARRAYS
+from .screen_probes import ScreenProbePass
+
+__all__ = ["RayScene", "ReflectionPass", "reflection_options"]
+
+STRIDES = {ReflectionResolution.FULL: 1, ReflectionResolution.HALF: 2, ReflectionResolution.QUARTER: 4}
+
+SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
+
+STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2}
+"""What rays over mirrors need in every scene; the rest of LAYER_ARRAYS is for scenes with layers alone"""
+
+CANDIDATES = 4
+"""Samples of light considered at each hit"""
+
+DEBUG_CHANNELS = {
+    "reflections.classes": reflection_debug.REFLECTION_CLASSES,
+    "reflections.hits": reflection_debug.REFLECTION_HITS,
+    "reflections.radiance": reflection_debug.REFLECTION_RADIANCE,
+    "reflections.distance": reflection_debug.REFLECTION_DISTANCE,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class RayScene:
+    """What a record needs to know of the scene, besides its arrays."""
+
+    scene: Scene
+    split: EnvironmentSplit
+    motion: Motion
+    filtered: bool = True
+    """Whether there are triangles that need a test per hit (Structures.has_filtered)"""
+    programs: bool = True
+    """Whether lights may be programs (DeviceScene.has_light_programs)"""
+    all_lean: bool = False
+    """Whether the lean node machine runs all materials (MaterialTable.lean)"""
+    lean_layers: bool = False
+    """Whether it runs all transparency programs"""
+    mirrors: bool = True
+    """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
+
+
+def reflection_options(
+    settings: ReflectionSettings, width: int, height: int, lobe: int = int(LOBE_REFLECTION),
+) -> ReflectionOptions:
+    """Return the kernels' options for settings and a size [px]."""
+    options = ReflectionOptions()
+    stride = STRIDES[settings.resolution]
+    options.width, options.height, options.stride = width, height, stride
+    options.columns, options.rows = -(-width // stride), -(-height // stride)
+    options.lobe = int(lobe)
+    options.traced, options.diffuse = settings.roughness_traced, settings.roughness_diffuse
+    options.blend = settings.roughness_blend
+    return options
+
+
+class ReflectionPass:
+    """Owns a frame's samples of one lobe and the rays that find them."""
+
+    def __init__(self, device: str, settings: ReflectionSettings, lobe: int = int(LOBE_REFLECTION)):
+        """Make the pass for LOBE_REFLECTION or LOBE_TRANSMISSION."""
+        self.device, self.settings, self.lobe = device, settings, int(lobe)
+        self.reflection = int(self.lobe == int(LOBE_REFLECTION))
+        self.name = "reflections" if self.reflection else "refraction"
+        self.title = "Reflection" if self.reflection else "Refraction"
+        """Of sections"""
+        names = DEBUG_CHANNELS if self.reflection else ()
+        self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
+        self.width = self.height = 0
+
+    def _fill(self, buffers: object, arrays: dict[str, type], count: int) -> object:
+        for name, dtype in arrays.items():
+            setattr(buffers, name, wp.zeros(count, dtype=dtype, device=self.device))
+        return buffers
+
+    def resize(self, width: int, height: int) -> None:
+        """Allocate the samples for a picture of that size [px]; rays get room once they are recorded."""
+        self.width, self.height = width, height
+        self.options = reflection_options(self.settings, width, height, self.lobe)
+        self.blocks = self.options.columns * self.options.rows
+        self.samples = self._fill(ReflectionSamples(), SAMPLE_ARRAYS, self.blocks)
+        self.rays = ReflectionRays()
+        self._fill(self.rays, {"source": wp.uint8, "flag": int, "rank": int}, self.blocks)
+        self._room: tuple | None = None
+        self._gbuffer: dict[int, GBuffer] = {}
+
+    def _fit(self, filtered: bool) -> None:
+        """Allocate rays, one for each block."""
+        if self._room == (self.blocks, filtered):
+            return
+        self._room = (self.blocks, filtered)
+        count = self.blocks
+        self.paths, self.vertices = Paths(), Vertices()
+        for arrays, size in (
+                (RAY_ARRAYS, count), (UNUSED_ARRAYS, 1), (LAYER_ARRAYS, count if filtered else 1),
+                (STATE_ARRAYS, count)):
+            self._fill(self.paths, arrays, size)
+        self._fill(self.vertices, VERTEX_ARRAYS, count)
+        self._fill(self.vertices, BOUNCE_ARRAYS, 1)
+        self._fill(self.rays, {"block": int, "found": wp.uint8}, count)
+        self.queue = make_queue(count, self.device)
+        self.all = WorkList(self.queue, self.rays.rank[count - 1 : count])
+        """All rays, from the first slot on"""
+        self.living, self.left = make_work_list(count, self.device), make_work_list(count, self.device)
+        self.layered = make_work_list(count if filtered else 1, self.device)
+        # The cache's counters are those of the probes' rays.
+        self.control = self._fill(CacheControl(), {"age": int, "balance": wp.int64, "factors": wp.vec3}, 1)
+        self._fill(self.control, {"counters": int}, int(cache_cells.LANES) * int(cache_cells.COUNTERS))
+
+    def reset(self) -> None:
+        """Forget the frame before: nothing is kept."""
+
+    def record_rays(
+        self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous: GBuffer,
+        previous_color: wp.array, what: RayScene, grid: HashGrid,
+    ) -> None:
+        """Record choosing the pixels and tracing rays; comes before the cache's frame, which takes in their light.
+
+        Args:
+            graph: What to add to.
+            parity: 0 for even frames, 1 for odd ones.
+            views: One View.
+            gbuffer: Of this frame.
+            previous: Of the frame before.
+            previous_color: vec4h, exposed: the composite of the frame before.
+            what: The scene.
+            grid: The radiance cache's cells, ready for this scene.
+        """
+        self._fit(what.filtered)
+        self._gbuffer[parity] = gbuffer
+        scene, blocks, options = what.scene, self.blocks, self.options
+        paths, vertices, rays = self.paths, self.vertices, self.rays
+        with graph.section(self._section("rays")):
+            graph.launch(reflection_place.place_samples, blocks, [views, options, gbuffer], [self.samples, rays])
+            graph.call(lambda: wp.utils.array_scan(rays.flag, rays.rank, inclusive=True))
+            graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
+            start = reflection_start.start_reflections
+            if not self.reflection:
+                start = reflection_refract.start_refractions
+            graph.launch(
+                start, blocks, [views, scene, options, gbuffer], [self.samples, rays, paths, vertices])
+        rounds = 1 + (self.settings.bounces if what.mirrors else 0)
+        for index in range(rounds):
+            self._record_segment(graph, what, index, last=index == rounds - 1)
+        with graph.section(self._section("hits")):
+            graph.launch(
+                reflection_screen.look_back, blocks,
+                [views, scene, what.motion, self.width, self.height, int(self.settings.screen_reuse), previous,
+                 previous_color], [rays, paths, vertices])
+        if self.settings.hit_lighting:
+            self._record_lights(graph, views, what, grid)
+
+    def _section(self, part: str) -> str:
+        return f"{self.title} {part}"
+
+    def _record_segment(self, graph: FrameGraph, what: RayScene, index: int, *, last: bool) -> None:
+        """Record one segment of all rays under way: what it meets, and how it goes on."""
+        scene, blocks, paths, vertices, rays = what.scene, self.blocks, self.paths, self.vertices, self.rays
+        work = self.all
+        with graph.section(self._section("rays")):
+            if index == 0:
+                trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
+                graph.launch(trace, blocks, [scene, 0], [paths])
+            else:
+                work = self.living
+                graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
+                graph.launch_listed(reflection_trace.trace_further, [scene], work, [paths])
+            if what.filtered:
+                self._record_layers(graph, what)
+            if scene.lights.lamp_count > 0:
+                graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
+        with graph.section(self._section("materials")):
+            arguments = [scene, what.split, self.reflection, int(last)]
+            graph.launch_listed(reflection_lean.follow_lean, arguments, work, [rays, paths, vertices])
+            if not what.all_lean or scene.environment.constant == 0:
+                if index == 0:
+                    work = self.left
+                    graph.fill_list(reflection_place.append_left, blocks, [paths, vertices], work)
+                graph.launch_listed(reflection_materials.follow_full, arguments, work, [rays, paths, vertices])
+
+    def _record_layers(self, graph: FrameGraph, what: RayScene) -> None:
+        """Record looking through transparent layers in front of the hits."""
+        if is_flat(what.scene):
+            graph.launch(flat_tracing.trace_flat_layers, self.blocks, [what.scene, 0], [self.paths])
+        else:
+            graph.launch_queued(tracing.trace_layers, [what.scene], self.queue, [self.paths])
+        if what.lean_layers:
+            graph.fill_list(compaction.append_layered_paths, self.blocks, [self.paths, 0], self.layered)
+            graph.launch_listed(layers_lean.filter_paths_lean, [what.scene], self.layered, [self.paths])
+        else:
+            graph.launch_queued(layers.filter_paths, [what.scene], self.queue, [self.paths])
+
+    def _record_lights(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
+        """Record lighting the hits in which rays have ended, with a shadow ray each, for them and for their cells."""
+        scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
+        with graph.section(self._section("hits")):
+            graph.clear(self.control.counters)
+            graph.launch(
+                cache_cells.insert_vertices, blocks, [views, paths, 0], [grid, vertices, self.control], banded=False)
+            candidates = 1 if what.programs else CANDIDATES
+            graph.launch(reflection_choice.choose_reflection_lights, blocks, [scene, vertices, candidates], [paths])
+        with graph.section(self._section("shadow rays")):
+            flat = is_flat(scene)
+            trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
+            graph.launch(trace, blocks, [scene, int(what.filtered)], [paths])
+            if what.filtered:
+                shadows = [scene, make_options(filtered=True), 1]
+                if flat:
+                    graph.launch(flat_tracing.trace_flat_shadow_layers, blocks, shadows, [paths])
+                else:
+                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [paths])
+                if what.lean_layers:
+                    graph.fill_list(compaction.append_layered_shadows, blocks, [paths], self.layered)
+                    graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [paths])
+                else:
+                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [paths])
+            if what.programs:
+                graph.launch(cache_programs.finish_cache_lights, blocks, [scene], [paths])
+        with graph.section(self._section("hits")):
+            # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
+            graph.launch(
+                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid, self.control],
+                banded=False)
+
+    def record_samples(
+        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, grid: HashGrid, probes: ScreenProbePass,
+    ) -> ReflectionSamples:
+        """Record finishing the samples, once the cache and the probes are up to date; returns them."""
+        with graph.section(self._section("samples")):
+            graph.launch(
+                reflection_resolve.resolve_reflections, self.blocks,
+                [views, self.options, grid, int(self.settings.hit_lighting), int(self.settings.jitter), self.paths,
+                 self.vertices], [self.rays, self.samples])
+            if self.reflection:
+                probes.record_look_ups(graph, views, gbuffer, self.options, self.rays.source, self.samples)
+        return self.samples
+
+    def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
+        """Record drawing one of `debug_views` of this frame into `picture`, vec4 a pixel; comes after the samples."""
+        graph.launch(
+            reflection_debug.show_samples, self.width * self.height,
+            [int(DEBUG_CHANNELS[name]), self.options, self._gbuffer[parity], self.rays, self.samples], [picture])
+
+    def stats(self) -> dict[str, int]:
+        """Return the last frame's counts; waits for the device."""
+        if self._room is None:
+            return {}
+        counters = self.control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+        what = self.title.lower()
+        return {f"{what} rays": int(self.rays.rank.numpy()[-1]),
+                f"{what} shadow rays": int(counters[int(cache_cells.COUNT_SHADOWS)])}

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which materials of a scene reflect sharply or refract, so that a frame records no rays that nothing needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from ..kernels import node_codes as codes
+from ..kernels import types as kernel_types
+from .program import Program
+from .report_realtime import closures
+
+__all__ = ["Reflectors", "find_reflectors"]
+
+
+@dataclass(frozen=True)
+class Reflectors:
+    """What the sharpest materials of a scene do."""
+
+    sharpest: float = math.inf
+    """Least roughness of any reflection; endless where nothing reflects"""
+    refracts: bool = False
+
+
+def find_reflectors(programs: Iterable[Program]) -> Reflectors:
+    """Return what the materials with these programs do; what varies may be anything."""
+    sharpest, refracts = math.inf, False
+    for program in programs:
+        for kind, arguments in closures(program):
+            sharpest = min([sharpest, *roughnesses(kind, arguments)])
+            refracts |= kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION) or (
+                kind == kernel_types.CLOSURE_PRINCIPLED and arguments[codes.ARG_TRANSMISSION] != 0.0)
+    return Reflectors(sharpest, refracts)
+
+
+def roughnesses(kind: int, arguments: list[float | None]) -> Iterator[float]:
+    """Yield the least roughness of each reflecting lobe of a closure, whose arguments are None where they vary."""
+    roughness = arguments[codes.ARG_ROUGHNESS] or 0.0
+    if kind in (kernel_types.CLOSURE_GLOSSY, kernel_types.CLOSURE_GLASS):
+        yield roughness
+    if kind == kernel_types.CLOSURE_PRINCIPLED:
+        level, ior, metallic = (
+            arguments[slot] for slot in (codes.ARG_SPECULAR_LEVEL, codes.ARG_IOR, codes.ARG_METALLIC))
+        if metallic != 0.0 or (level != 0.0 and ior != 1.0) or arguments[codes.ARG_TRANSMISSION] != 0.0:
+            yield roughness
+        if arguments[codes.ARG_COAT] != 0.0:
+            yield arguments[codes.ARG_COAT_ROUGHNESS] or 0.0

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lists of elements that a frame's kernels fill and work off: of many pixels or rays, the few that need more work.
+
+Where one element in many does, a kernel over all of them has few busy threads in each warp and as long a tail in each
+block. The list makes warps full. On the processor, where neither matters, it holds all elements once and for all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+__all__ = ["LISTED_THREADS", "ONCE", "WorkList", "make_work_list"]
+
+LISTED_THREADS = 1 << 16
+"""Threads that share a list's elements: about what a large GPU has at work at a time"""
+
+ONCE = 1 << 30
+"""Number of threads to tell where each has one element"""
+
+
+@dataclass
+class WorkList:
+    """Elements to work on."""
+
+    queue: wp.array
+    """int: elements"""
+    count: wp.array
+    """int [1]: how many they are"""
+
+    def part(self, first: int, count: int) -> WorkList:
+        """Return the list for `count` elements from one on."""
+        return WorkList(self.queue[first : first + count], self.count)
+
+
+def make_work_list(capacity: int, device: str) -> WorkList:
+    """Return a list with room for so many elements; on the processor it holds them all."""
+    if wp.get_device(device).is_cuda:
+        return WorkList(wp.zeros(capacity, dtype=int, device=device), wp.zeros(1, dtype=int, device=device))
+    return WorkList(
+        wp.array(np.arange(capacity, dtype=np.int32), dtype=int, device=device),
+        wp.array([capacity], dtype=int, device=device))

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real-time frame's rays in scenes without instances of their own: all triangles lie in flattened structures.
+
+The same as trace_* of gbuffer_rays.py, cache_rays.py, direct_shadow.py and tracing.py with `closest_hit` and the like
+cut down to what such scenes need. Kernels that may also walk the second level keep its state in registers: 90 to 104,
+so that of a GPU's 65536 a multiprocessor 18 to 22 warps are under way there, and 32 to 36 with the 56 to 64 of these.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .gbuffer_rays import PrimaryHits, primary_ray
+from .intersect import MISS, Hit, closest_static
+from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
+from .pixel_order import pixel_in_blocks
+from .types import Geometry, Scene
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def no_hit(t_max: float) -> Hit:
+    """Return that nothing was hit."""
+    hit = Hit()
+    hit.t = t_max
+    hit.instance = MISS
+    return hit
+
+
+@wp.func
+def closest_flat(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
+    """Return intersect.closest_hit."""
+    return closest_static(geometry.static_bvh, geometry.static_faces, origin, direction, no_hit(t_max))
+
+
+@wp.func
+def closest_flat_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
+    """Return intersect.closest_filtered_hit."""
+    return closest_static(
+        geometry.static_filtered_bvh, geometry.static_filtered_faces, origin, direction, no_hit(t_max))
+
+
+@wp.func
+def any_flat(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> bool:
+    """Return intersect.any_hit."""
+    if geometry.static_bvh == wp.uint64(0):
+        return False
+    return wp.mesh_query_ray_anyhit(geometry.static_bvh, origin, direction, t_max)
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_primary(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    height: int,
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """Find what each pixel shows, in the order of pixel_in_blocks; see gbuffer_rays.trace_primary."""
+    pixel = pixel_in_blocks(first + wp.tid(), width, height)
+    if pixel < 0:
+        return
+    ray = primary_ray(views[0], pixel % width, pixel // width)
+    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
+    hits_out.t[pixel] = hit.t
+    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_primary_layers(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    height: int,
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """Find the first triangle in front of each opaque hit that needs a test; see gbuffer_rays.trace_primary_layers."""
+    pixel = pixel_in_blocks(first + wp.tid(), width, height)
+    if pixel < 0:
+        return
+    ray = primary_ray(views[0], pixel % width, pixel // width)
+    hit = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
+    hits_out.layer_t[pixel] = hit.t
+    hits_out.layer[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.layer_barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_rays(
+    # In:
+    first: int,
+    scene: Scene,
+    offset: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Find the closest opaque hit of every ray from slot `offset` on; see cache_rays.trace_cache_rays."""
+    slot = offset + first + wp.tid()
+    if paths_out.state[slot] == ENDED:
+        paths_out.hit[slot] = wp.vec2i(MISS, 0)
+        return
+    store_hit(paths_out, slot, closest_flat(
+        scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_layers(
+    # In:
+    first: int,
+    scene: Scene,
+    offset: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Find the first triangle that needs a test before each ray's opaque hit; see tracing.trace_layers."""
+    slot = offset + first + wp.tid()
+    if paths_out.state[slot] == ENDED:
+        return
+    store_layer(paths_out, slot, closest_flat_layer(
+        scene.geometry, paths_out.origin[slot], paths_out.direction[slot], load_hit(paths_out, slot).t))
+
+
+@wp.kernel(cuda_max_registers=56)
+def trace_flat_shadows(
+    # In:
+    first: int,
+    scene: Scene,
+    # Out:
+    rays_out: Paths,
+):
+    """Set the distance of blocked shadow rays to 0; see direct_shadow.trace_direct_shadows."""
+    slot = first + wp.tid()
+    distance = rays_out.shadow_distance[slot]
+    if distance > 0.0:
+        if any_flat(scene.geometry, rays_out.shadow_origin[slot], rays_out.shadow_direction[slot], distance):
+            rays_out.shadow_distance[slot] = 0.0
+
+
+@wp.kernel(cuda_max_registers=56)
+def trace_flat_cache_shadows(
+    # In:
+    first: int,
+    scene: Scene,
+    filtered: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Trace the cache's shadow rays against opaque triangles; see cache_rays.trace_cache_shadows."""
+    slot = first + wp.tid()
+    distance = paths_out.shadow_distance[slot]
+    if distance == 0.0:
+        return
+    if distance > 0.0:
+        if any_flat(scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance):
+            paths_out.shadow_distance[slot] = 0.0
+            return
+    if filtered == 0 and paths_out.shadow_pending[slot] == PENDING_NONE:
+        light = paths_out.shadow_light[slot]
+        paths_out.radiance[slot] = wp.vec4(light[0], light[1], light[2], paths_out.radiance[slot][3])
+        paths_out.shadow_distance[slot] = 0.0
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_shadow_layers(
+    # In:
+    first: int,
+    scene: Scene,
+    options: Options,
+    bounce: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Find the first triangle that needs a test on each shadow ray; see tracing.trace_shadow_layers."""
+    slot = first + wp.tid()
+    distance = paths_out.shadow_distance[slot]
+    if distance == 0.0:
+        return
+    hit = closest_flat_layer(
+        scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
+    store_layer(paths_out, slot, hit)
+    if hit.instance == MISS and paths_out.shadow_pending[slot] == PENDING_NONE:
+        add_light(paths_out, slot, paths_out.shadow_light[slot], limit_at(options, bounce + 1))
+        paths_out.shadow_distance[slot] = 0.0

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What happens where a reflection ray meets a surface or the world: it ends there, or goes on over mirrors and glass.
+
+A surface's sharp lobes send the ray on, all others end it, in proportion to their albedos and by chance; what it ends
+in is lit by the radiance cache, which knows no direction. Functions, for the lean and the full node machine.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_materials import sane
+from .cache_rays import Vertices
+from .environment_split import EnvironmentSplit, excess_radiance, soft_radiance
+from .gbuffer import Surface, SurfaceMaterial
+from .geometry_math import max_component, mean_component
+from .packing import pack_normal
+from .paths import ENDED, Paths
+from .reflectance import BsdfAlbedo, fit_lobe
+from .reflection_lights import emitter_ray_share, world_ray_share
+from .reflection_rays import (
+    DIMENSION_DIRECTION,
+    DIMENSION_LOBE,
+    DIMENSIONS,
+    FOUND_EMITTER,
+    FOUND_HIT,
+    FOUND_WHOLE_HIT,
+    FOUND_WORLD,
+    ReflectionRays,
+    first_density,
+    gather,
+    send_ray,
+)
+from .reflection_types import SAMPLE_FAR
+from .sampling import sample_pair
+from .specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
+from .types import VISIBLE_GLOSSY, Scene, ShadingPoint
+
+# Lobes sharper than this send rays on; rougher ones show their surroundings too blurred to tell.
+MIRROR_ROUGHNESS = wp.constant(0.3)
+
+# Least share of a surface's albedo for which a ray goes on.
+MIRROR_SHARE_MIN = wp.constant(0.05)
+
+BRANCH_END = wp.constant(0)
+BRANCH_MIRROR = wp.constant(1)
+BRANCH_GLASS = wp.constant(2)
+
+
+@wp.struct
+class Branch:
+    """How a ray goes on from a hit."""
+
+    kind: int
+    """BRANCH_*"""
+    chance: float
+    """Of that"""
+    whole: int
+    """1: the ray ends, and all lobes are taken for rough ones"""
+
+
+@wp.func
+def miss_light(
+    scene: Scene, split: EnvironmentSplit, radiance: wp.vec3, reflection: int, rays: ReflectionRays, paths: Paths,
+    vertices: Vertices, slot: int,
+):
+    """End a ray in the world; `radiance` is the world's there."""
+    direction = paths.direction[slot]
+    light = wp.vec3(0.0, 0.0, 0.0)
+    if (scene.environment.visibility & paths.kind[slot]) != 0:
+        world = sane(radiance)
+        share = world_ray_share(split, first_density(reflection, paths, slot), direction)
+        light = soft_radiance(world, split.threshold, scene.luminance)
+        light = light + excess_radiance(world, split.threshold, scene.luminance) * share
+    gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), SAMPLE_FAR)
+    rays.found[slot] = FOUND_WORLD
+    paths.state[slot] = ENDED
+
+
+@wp.func
+def add_emission(
+    scene: Scene, point: ShadingPoint, emission: wp.vec3, reflection: int, rays: ReflectionRays, paths: Paths,
+    vertices: Vertices, slot: int,
+):
+    """Add what a hit emits, and the way to it."""
+    light = wp.vec3(0.0, 0.0, 0.0)
+    if max_component(emission) > 0.0:
+        share = emitter_ray_share(
+            scene, first_density(reflection, paths, slot), point.instance, point.triangle, paths.origin[slot],
+            paths.direction[slot], point.ray_length)
+        light = sane(wp.cw_mul(paths.throughput[slot], emission) * share)
+        rays.found[slot] = FOUND_EMITTER
+    gather(vertices, slot, light, point.ray_length)
+
+
+@wp.func
+def mirror_material(albedo: BsdfAlbedo) -> SurfaceMaterial:
+    """Return the lobes that send a ray on: all that reflect, or a sharp coat on a rough base; `specular` 0: none."""
+    m = SurfaceMaterial()
+    m.roughness = albedo.roughness
+    m.coat = albedo.coat
+    m.coat_roughness = albedo.coat_roughness
+    none = wp.vec3(0.0, 0.0, 0.0)
+    if albedo.roughness < MIRROR_ROUGHNESS:
+        m.specular = sane(albedo.specular)
+    elif albedo.coat > 0.0 and albedo.coat_roughness < MIRROR_ROUGHNESS:
+        m.specular = wp.vec3(albedo.coat, albedo.coat, albedo.coat)
+    else:
+        m.specular = none
+    return m
+
+
+@wp.func
+def choose_branch(
+    albedo: BsdfAlbedo, mirrored: wp.vec3, last: int, paths: Paths, slot: int, surfaces: int,
+) -> Branch:
+    """Choose between ending, a mirror and glass, by what each is worth.
+
+    Args:
+        albedo: Of the hit.
+        mirrored: Part of `albedo.specular` that sends rays on.
+        last: 1: rays end here.
+        paths: Rays.
+        slot: Which.
+        surfaces: Met so far.
+    """
+    throughput = paths.throughput[slot]
+    mirror = mean_component(wp.cw_mul(throughput, mirrored))
+    glass = mean_component(wp.cw_mul(throughput, sane(albedo.transmitted)))
+    rough = mean_component(wp.cw_mul(throughput, sane(
+        albedo.diffuse + albedo.translucent + albedo.specular - mirrored)))
+    branch = Branch()
+    branch.kind = BRANCH_END
+    branch.chance = 1.0
+    branch.whole = 1
+    total = mirror + glass + rough
+    if last == 1 or not mirror + glass > MIRROR_SHARE_MIN * total:
+        return branch
+    branch.whole = 0
+    u = sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_LOBE + DIMENSIONS * surfaces)[1] * total
+    if u < mirror:
+        branch.kind = BRANCH_MIRROR
+        branch.chance = mirror / total
+    elif u < mirror + glass:
+        branch.kind = BRANCH_GLASS
+        branch.chance = glass / total
+    else:
+        branch.chance = rough / total
+    return branch
+
+
+@wp.func
+def end_ray(
+    point: ShadingPoint, albedo: BsdfAlbedo, mirrored: wp.vec3, normal: wp.vec3, branch: Branch, rays: ReflectionRays,
+    paths: Paths, vertices: Vertices, slot: int,
+):
+    """End a ray in a hit, for the cache to light."""
+    # Refracted light comes from the other side like that of the translucent lobe.
+    behind = sane(albedo.translucent)
+    before = sane(albedo.diffuse + albedo.specular)
+    if branch.whole == 1:
+        behind = behind + sane(albedo.transmitted)
+    else:
+        before = sane(before - mirrored)
+    total = behind + before
+    share = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
+    total = sane(total / branch.chance)
+    vertices.reflectance[slot] = wp.vec4(total[0], total[1], total[2], share)
+    if max_component(total) > 0.0:
+        rays.found[slot] = wp.where(branch.whole == 1, FOUND_WHOLE_HIT, FOUND_HIT)
+    p = point.position
+    vertices.position[slot] = wp.vec4(p[0], p[1], p[2], point.error)
+    vertices.geometric_normal[slot] = pack_normal(point.geometric_normal)
+    vertices.normal[slot] = pack_normal(normal)
+    paths.state[slot] = ENDED
+
+
+@wp.func
+def follow(
+    point: ShadingPoint, direction: wp.vec3, weight: wp.vec3, pdf: float, kind: int, paths: Paths, slot: int,
+):
+    """Send a ray on from a hit; a weight of 0 ends it, black."""
+    surfaces = paths.state[slot]
+    throughput = sane(wp.cw_mul(paths.throughput[slot], weight))
+    paths.throughput[slot] = throughput
+    paths.state[slot] = ENDED
+    if not max_component(throughput) > 0.0:
+        return
+    paths.cone[slot] = wp.vec2(point.footprint, paths.cone[slot][1])
+    paths.pdf[slot] = wp.min(paths.pdf[slot], pdf)
+    send_ray(paths, slot, point, direction, kind, surfaces + 1)
+
+
+@wp.func
+def mirror_ray(
+    scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, lobe: SurfaceMaterial, normal: wp.vec3, cosine: float,
+    chance: float, paths: Paths, slot: int,
+):
+    """Send a ray on over a mirror: the lobes that fit the hit's albedo."""
+    m = lobe
+    if albedo.roughness < MIRROR_ROUGHNESS:
+        m = fit_lobe(scene.tables, albedo, cosine, lobe)
+    surface = Surface()
+    surface.position = point.position
+    surface.normal = normal
+    surface.geometric_normal = point.geometric_normal
+    lobes = specular_lobes(m, surface, point.wo)
+    dimension = DIMENSIONS * paths.state[slot]
+    seed = paths.seed[slot]
+    index = paths.index[slot]
+    pick = sample_pair(seed, index, DIMENSION_LOBE + dimension)
+    direction = sample_lobes(lobes, sample_pair(seed, index, DIMENSION_DIRECTION + dimension), pick[0])
+    pdf = lobes_pdf(lobes, direction)
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    if pdf > 0.0 and wp.dot(direction, point.geometric_normal) > 0.0:
+        weight = lobes_value(m, lobes, direction) / (pdf * chance)
+    follow(point, direction, weight, pdf, VISIBLE_GLOSSY, paths, slot)

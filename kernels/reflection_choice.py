@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that chooses a light for every hit of a reflection ray: the best of a few, before one shadow ray.
+
+What a mirror shows is not blurred afterwards as the cache's cells are, so the choice is worth more here: resampled
+importance sampling (Talbot et al. 2005) by the light that would arrive unshadowed. It needs to know what lights emit:
+where that is a program the hit gets one sample, as in the cache.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import Vertices
+from .geometry_math import INV_PI, is_finite3, max_component, mean_component
+from .intersect import MISS, surface_point
+from .lights import LightSample, sample_light
+from .packing import unpack_normal
+from .paths import ENDED, Paths, load_hit
+from .reference import set_shadow_ray
+from .sampling import hashed_unit, sample_pair
+from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Dimensions of the candidates' random numbers, three for each.
+DIMENSION_CANDIDATE = wp.constant(400)
+STREAM_PICK = wp.constant(wp.uint32(0x5049434B))
+
+
+@wp.func
+def emitted(scene: Scene, s: LightSample) -> wp.vec3:
+    """Return what a light sample's radiance is to be multiplied by, as set_shadow_ray does it; 1 for programs."""
+    if s.kind == LIGHT_TRIANGLE:
+        material = scene.materials.instance_materials[
+            scene.geometry.instances[s.instance].material_offset
+            + wp.min(scene.geometry.slots[s.triangle], scene.geometry.instances[s.instance].material_count - 1)]
+        return scene.materials.materials[material].emission
+    if s.kind == LIGHT_ENVIRONMENT:
+        return scene.environment.radiance
+    return wp.vec3(1.0, 1.0, 1.0)
+
+
+@wp.func
+def density_of(normal: wp.vec3, behind: float, wi: wp.vec3) -> float:
+    """Return the density that turns radiance from a direction into irradiance / pi; by the shares of both sides."""
+    cosine = wp.dot(normal, wi)
+    return wp.abs(cosine) * INV_PI * wp.where(cosine > 0.0, 1.0 - behind, behind)
+
+
+@wp.kernel
+def choose_reflection_lights(
+    # In:
+    first: int,
+    scene: Scene,
+    vertices: Vertices,
+    candidates: int,
+    # Out:
+    paths_out: Paths,
+):
+    """Choose one of `candidates` samples of light at every hit and set up its shadow ray; see choose_cache_lights."""
+    slot = first + wp.tid()
+    paths_out.shadow_distance[slot] = 0.0
+    paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if paths_out.state[slot] == ENDED or paths_out.hit[slot][0] == MISS or scene.lights.class_count == 0:
+        return
+    reflectance = vertices.reflectance[slot]
+    if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
+        return
+    point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
+    normal = unpack_normal(vertices.normal[slot])
+    seed = paths_out.seed[slot]
+    index = paths_out.index[slot]
+    chosen = LightSample()
+    target = float(0.0)
+    total = float(0.0)
+    k = int(0)
+    while k < candidates:
+        dimension = DIMENSION_CANDIDATE + 3 * k
+        # Stratified over the classes of lights.
+        choice = (float(k) + sample_pair(seed, index, dimension)[0]) / float(candidates)
+        s = sample_light(
+            scene, point.position, wp.min(choice, 0.99999994), sample_pair(seed, index, dimension + 1),
+            sample_pair(seed, index, dimension + 2))
+        if s.kind >= 0 and (s.visibility & VISIBLE_DIFFUSE) != 0:
+            value = wp.float32(1.0)
+            if candidates > 1:
+                value = mean_component(wp.cw_mul(s.radiance, emitted(scene, s)))
+            value = value * density_of(normal, reflectance[3], s.wi)
+            weight = value / s.pdf
+            if weight > 0.0 and wp.isfinite(weight):
+                total = total + weight
+                if hashed_unit(seed ^ STREAM_PICK, index * wp.uint32(candidates) + wp.uint32(k)) * total < weight:
+                    chosen = s
+                    target = value
+        k = k + 1
+    if not target > 0.0:
+        return
+    scale = density_of(normal, reflectance[3], chosen.wi) * total / (target * float(candidates))
+    light = chosen.radiance * scale
+    if is_finite3(light) and max_component(light) > 0.0:
+        set_shadow_ray(scene, point, chosen, light, paths_out, slot)
+        if paths_out.shadow_distance[slot] != 0.0:
+            # Counted by accumulate_light.
+            paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clean-up of reflection samples: sparks and missing samples are replaced by their neighbours (Eto et al. 2023).
+
+The rank test (after Mara et al. 2017) is one that fires: a sample is a spark where fewer than a tenth of its neighbours
+come near it. A replaced spark alone would darken, most where light comes in rare bright samples; what it had is spread
+over its neighbours, so that a flash becomes a faint glow of the same energy. The threshold rises at rest until nothing
+is spread any more and sharp sparkles stay where they are.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .filter_weights import squared_cosine
+from .gbuffer import GBuffer
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb, rgba
+from .reflection_blocks import (
+    JITTER_MAX,
+    JITTER_SHIFT,
+    MARK_MISSING,
+    MARK_SPARK,
+    FilterCentre,
+    FilterTap,
+    ReflectionBlocks,
+    ReflectionLight,
+    block_centre,
+    block_depth,
+    filter_tap,
+    in_grid,
+    light_strength,
+    pack_state,
+    unpack_state,
+)
+from .reflection_types import ReflectionOptions
+from .view import SKY_DEPTH, View
+
+# Fast: weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+# A neighbour comes near a sample if it has this share of its light; sparks are those that fewer neighbours come near
+# than the second (so that a spark is at least four times their ninth decile).
+NEAR_SHARE = wp.constant(0.25)
+NEAR_NEIGHBORS = wp.constant(0.1)
+# Neighbours of the same surface without which there is nothing to compare with.
+NEIGHBORS_MINIMUM = wp.constant(8.0)
+# Frames at rest in which the threshold doubles, and after which nothing is a spark any more.
+THRESHOLD_FRAMES = wp.constant(8.0)
+SPARK_FRAMES = wp.constant(64)
+# What reflects alike: squared cosine of the normals, ratio of the roughnesses.
+LIKE_COSINE2 = wp.constant(0.9)
+LIKE_ROUGHNESS = wp.constant(0.6)
+# Unevenness of the roughness that is no more than rounding.
+EVEN = wp.constant(0.02)
+
+
+@wp.func
+def like_weight(centre: FilterCentre, tap: FilterTap) -> float:
+    """Return 1 where a block's surface reflects like the centre's, else 0."""
+    rough = wp.max(centre.roughness, tap.roughness) + 0.02
+    smooth = wp.min(centre.roughness, tap.roughness) + 0.02
+    if squared_cosine(centre.normal, tap.normal) < LIKE_COSINE2 or smooth < LIKE_ROUGHNESS * rough:
+        return 0.0
+    return 1.0
+
+
+@wp.func
+def spark_threshold(own: float, rest: int) -> float:
+    """Return the strength from which on a neighbour comes near a sample's."""
+    return own * NEAR_SHARE * wp.pow(2.0, -float(wp.min(rest, SPARK_FRAMES)) / THRESHOLD_FRAMES)
+
+
+@wp.func
+def uneven_roughness(moments: wp.vec3) -> int:
+    """Return how uneven the roughness is, 0..JITTER_MAX, from its sum, that of its square, and the number."""
+    mean = moments[0] / moments[2]
+    deviation = wp.sqrt(wp.max(moments[1] / moments[2] - mean * mean, 0.0))
+    return int(wp.clamp(4.0 * deviation / wp.max(mean, 1.0e-3) - EVEN, 0.0, 1.0) * JITTER_MAX)
+
+
+@wp.func
+def spread_weight(centre: FilterCentre, tap: FilterTap, i: int, j: int) -> float:
+    """Return the weight of a block (i, j) blocks away for what is mixed from neighbours."""
+    return tap.near * like_weight(centre, tap) * wp.exp(-float(i * i + j * j) / 9.0)
+
+
+@wp.func
+def store_mark(
+    mark: int, light: wp.vec4, state: wp.vec2, excess: wp.vec3, block: int, mark_out: wp.array[wp.uint8],
+    lights_out: ReflectionLight, excess_out: wp.array[wp.uint64],
+):
+    """Write what mark_samples finds."""
+    mark_out[block] = wp.uint8(mark)
+    lights_out.light[block] = pack_halves(light)
+    lights_out.state[block] = pack_state(state[0], state[1])
+    if (mark & MARK_SPARK) != 0:
+        excess_out[block] = pack_halves(rgba(excess, 0.0))
+
+
+@wp.kernel
+def mark_samples(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    options: ReflectionOptions,
+    cleanup: int,
+    blocks: ReflectionBlocks,
+    lights: ReflectionLight,
+    # Out:
+    mark_out: wp.array[wp.uint8],
+    lights_out: ReflectionLight,
+    excess_out: wp.array[wp.uint64],
+):
+    """Find sparks and missing samples, and how uneven the roughness is around; banded over blocks.
+
+    37 bytes a block and those of 5x5 blocks (cached).
+
+    In detail:
+        first: Of the band.
+        cleanup: 0: nothing is a spark.
+        lights_out: The samples, sparks replaced by the mean of their neighbours.
+        excess_out: pack_halves of what was taken from a spark, by the sum of the weights it is spread with.
+    """
+    block = first + wp.tid()
+    mark = int(0)
+    light = unpack_halves(lights.light[block])
+    state = unpack_state(lights.state[block])
+    excess = wp.vec3(0.0, 0.0, 0.0)
+    if block_depth(blocks.surface[block]) < SKY_DEPTH:
+        centre = block_centre(views[0], gbuffer, options, blocks, block)
+        own = light_strength(rgb(light))
+        rest = views[0].rest
+        threshold = spark_threshold(own, rest)
+        near = float(0.0)
+        count = float(0.0)
+        rough = wp.vec3(centre.roughness, centre.roughness * centre.roughness, 1.0)
+        sum = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        total = float(0.0)
+        spread = float(1.0)
+        column = block % options.columns
+        row = block // options.columns
+        index = int(0)
+        while index < 25:
+            i = index % 5 - 2
+            j = index // 5 - 2
+            if index != 12 and in_grid(options, column + i, row + j):
+                tap = filter_tap(options, blocks, centre, column + i, row + j)
+                q = tap.block
+                if tap.near > 0.0:
+                    rough += wp.vec3(tap.roughness, tap.roughness * tap.roughness, 1.0)
+                    w = spread_weight(centre, tap, i, j)
+                    if unpack_state(lights.state[q])[1] > 0.0 and w > 0.0:
+                        count += 1.0
+                        spread += w
+                        other = unpack_halves(lights.light[q])
+                        if light_strength(rgb(other)) > threshold:
+                            near += 1.0
+                        else:
+                            sum += other * w
+                            total += w
+            index += 1
+        if state[1] < 0.0:
+            mark = MARK_MISSING
+        elif (
+            cleanup == 1 and own > 0.0 and rest < SPARK_FRAMES and count >= NEIGHBORS_MINIMUM
+            and near < NEAR_NEIGHBORS * count
+        ):
+            mark = MARK_SPARK
+            mixed = rgb(sum) / total
+            excess = (rgb(light) - mixed) / spread
+            # The root mean square stays the spark's: spread light is as noisy.
+            light = rgba(mixed, light[3])
+        mark = mark | (uneven_roughness(rough) << JITTER_SHIFT)
+    store_mark(mark, light, state, excess, block, mark_out, lights_out, excess_out)
+
+
+@wp.kernel
+def clean_samples(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    options: ReflectionOptions,
+    blocks: ReflectionBlocks,
+    lights: ReflectionLight,
+    excess: wp.array[wp.uint64],
+    # Out:
+    lights_out: ReflectionLight,
+):
+    """Replace missing samples by the mean of their neighbours, give out what sparks had; banded over blocks.
+
+    24 bytes a block and the marks of 5x5 blocks; more of those around what is missing or sparkles. What is replaced has
+    the confidence 0; where all neighbours are missing too, it stays unknown.
+    """
+    block = first + wp.tid()
+    light = unpack_halves(lights.light[block])
+    state = unpack_state(lights.state[block])
+    if block_depth(blocks.surface[block]) < SKY_DEPTH:
+        missing = (int(blocks.mark[block]) & MARK_MISSING) != 0
+        centre = FilterCentre()
+        made = bool(False)
+        sum = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        given = wp.vec3(0.0, 0.0, 0.0)
+        square = float(0.0)
+        total = float(0.0)
+        column = block % options.columns
+        row = block // options.columns
+        index = int(0)
+        while index < 25:
+            i = index % 5 - 2
+            j = index // 5 - 2
+            if in_grid(options, column + i, row + j):
+                q = block + j * options.columns + i
+                mark = int(blocks.mark[q])
+                if (mark & MARK_SPARK) != 0 or (missing and (mark & MARK_MISSING) == 0):
+                    if not made:
+                        centre = block_centre(views[0], gbuffer, options, blocks, block)
+                        made = True
+                    w = spread_weight(centre, filter_tap(options, blocks, centre, column + i, row + j), i, j)
+                    if w > 0.0 and (mark & MARK_SPARK) != 0:
+                        given += rgb(unpack_halves(excess[q])) * w
+                    if w > 0.0 and missing:
+                        root = unpack_state(lights.state[q])[0]
+                        sum += unpack_halves(lights.light[q]) * w
+                        square += root * root * w
+                        total += w
+            index += 1
+        if missing and total > 1.0e-3:
+            light = sum / total
+            state = wp.vec2(wp.sqrt(square / total), 0.0)
+        elif not missing:
+            strength = light_strength(rgb(light))
+            light = rgba(rgb(light) + given, light[3])
+            state[0] = state[0] + wp.max(light_strength(rgb(light)) - strength, 0.0)
+    lights_out.light[block] = pack_halves(light)
+    lights_out.state[block] = pack_state(state[0], state[1])

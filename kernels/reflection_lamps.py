@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that adds the lamps that reflection rays meet; recorded for scenes that have lamps."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_materials import sane
+from .cache_rays import Vertices
+from .geometry_math import max_component
+from .intersect import MISS
+from .lamp_hit import FAR
+from .paths import ENDED, Paths
+from .reflection_lights import lamps_along
+from .reflection_rays import first_density, gather
+from .types import Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, slot: int):
+    """Add the lamps along a ray's segment."""
+    if paths.state[slot] == ENDED:
+        return
+    t_max = paths.t[slot]
+    if paths.hit[slot][0] == MISS:
+        t_max = FAR
+    light = lamps_along(
+        scene.lights, paths.kind[slot], first_density(reflection, paths, slot), paths.origin[slot],
+        paths.direction[slot], t_max)
+    if max_component(light) > 0.0:
+        gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), 0.0)
+
+
+@wp.kernel
+def meet_lamps(
+    # In:
+    scene: Scene,
+    reflection: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Add the lamps along the segments of listed rays, traced already; `reflection` as of follow_full."""
+    i = wp.tid()
+    while i < count[0]:
+        add_lamps(scene, reflection, paths_out, vertices_out, queue[i])
+        i = i + stride

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel for reflection rays whose hits the lean node machine runs, most of them; see reflection_materials.py."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import Vertices
+from .environment_split import EnvironmentSplit
+from .intersect import MISS
+from .node_lean import lean_surface, run_lean
+from .paths import ENDED, Paths, hit_point
+from .reflection_chain import (
+    BRANCH_MIRROR,
+    add_emission,
+    choose_branch,
+    end_ray,
+    mirror_material,
+    mirror_ray,
+    miss_light,
+)
+from .reflection_rays import LEFT, ReflectionRays
+from .types import MATERIAL_LEAN, Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def follow_one(
+    scene: Scene, split: EnvironmentSplit, reflection: int, last: int, rays: ReflectionRays, paths: Paths,
+    vertices: Vertices, slot: int,
+):
+    """Take in what a segment has met, if the lean machine can."""
+    surfaces = paths.state[slot]
+    if surfaces == ENDED:
+        return
+    if paths.hit[slot][0] == MISS:
+        if scene.environment.constant == 0:
+            vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)
+            return
+        miss_light(scene, split, scene.environment.radiance, reflection, rays, paths, vertices, slot)
+        return
+    point = hit_point(scene, paths, slot, surfaces)
+    if (scene.materials.materials[point.material].flags & MATERIAL_LEAN) == 0:
+        vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)
+        return
+    closure = run_lean(scene, point, scene.materials.materials[point.material].surface_start)
+    surface = lean_surface(scene.tables, closure, point)
+    add_emission(scene, point, closure.emission, reflection, rays, paths, vertices, slot)
+    lobe = mirror_material(surface.albedo)
+    branch = choose_branch(surface.albedo, lobe.specular, last, paths, slot, surfaces)
+    if branch.kind == BRANCH_MIRROR:
+        mirror_ray(scene, point, surface.albedo, lobe, surface.normal, surface.cosine, branch.chance, paths, slot)
+    else:
+        end_ray(point, surface.albedo, lobe.specular, surface.normal, branch, rays, paths, vertices, slot)
+
+
+@wp.kernel
+def follow_lean(
+    # In:
+    scene: Scene,
+    split: EnvironmentSplit,
+    reflection: int,
+    last: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    rays_out: ReflectionRays,
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Do what follow_full does wherever the full machine is not needed, and note where it is (LEFT)."""
+    i = wp.tid()
+    while i < count[0]:
+        follow_one(scene, split, reflection, last, rays_out, paths_out, vertices_out, queue[i])
+        i = i + stride

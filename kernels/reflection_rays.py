@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The rays of glossy reflections and of refraction: their queue, their states and random numbers. Functions only.
+
+A frame's rays lie in a row without gaps, in the order of their blocks, so that neighbours stay together. The states are
+the path tracer's and the radiance cache's structs: `Paths` is the segment under way and `Vertices` the hit in which a
+ray ends, so that the cache's kernels light these hits as they light those of probe rays. In addition to what the
+structs say:
+
+- Paths.state: surfaces met so far, the pixel's included; ENDED once nothing is left to trace. Hits that must be lit get
+  1 again.
+- Paths.throughput: what the light found now is worth, over the pixel's albedo.
+- Paths.pdf: the least density with which any direction of the ray was drawn: the widest lobe.
+- Vertices.emission: throughput * light found on the way; w = length of the way [m], IDLE where there is no ray.
+- Vertices.reflectance: of the hit in which a ray ends, over the chance of ending there; 0: there is nothing to light.
+  w = LEFT: the full node machine has yet to run.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import IDLE, Vertices
+from .hash_grid import NO_CELL
+from .intersect import offset_origin
+from .lamp_hit import FAR
+from .paths import ENDED, Paths
+from .reflection_types import SAMPLE_FAR
+from .sampling import pixel_seed_of
+from .types import ShadingPoint
+from .view import View
+
+# Dimensions of reflections' random numbers; each further surface takes as many as there are here.
+DIMENSION_CLASS = wp.constant(200)
+DIMENSION_DIRECTION = wp.constant(201)
+DIMENSION_LOBE = wp.constant(202)
+"""x: which lobe, y: end, mirror or refract"""
+DIMENSION_CLOSURE = wp.constant(203)
+DIMENSIONS = wp.constant(4)
+
+# Indices from here on are those of pixels that stand in for one of their block that reflects nothing.
+STAND_IN = wp.constant(1 << 20)
+
+# Vertices.reflectance[3] of hits that the lean machine can't run.
+LEFT = wp.constant(-2.0)
+
+# Density [1/sr] of directions that are drawn for certain.
+PDF_MAX = wp.constant(1.0e9)
+
+# ReflectionRays.found: where a ray's light came from
+FOUND_NONE = wp.constant(wp.uint8(0))
+FOUND_WORLD = wp.constant(wp.uint8(1))
+FOUND_EMITTER = wp.constant(wp.uint8(2))
+"""Emission alone: a black surface"""
+FOUND_HIT = wp.constant(wp.uint8(3))
+"""A hit that is yet to be lit, in which the ray ended by chance: it could have gone on"""
+FOUND_WHOLE_HIT = wp.constant(wp.uint8(4))
+"""The same for certain: all that the surface reflects"""
+FOUND_SCREEN = wp.constant(wp.uint8(5))
+"""The frame before shows it"""
+FOUND_OWN = wp.constant(wp.uint8(6))
+"""Lit by a shadow ray of its own and the cache's indirect light"""
+FOUND_CELL = wp.constant(wp.uint8(7))
+"""Lit by a cell's means alone"""
+
+
+@wp.struct
+class ReflectionRays:
+    """The queue of rays, besides their states."""
+
+    source: wp.array[wp.uint8]
+    """Per block: SOURCE_* in reflection_types.py"""
+    flag: wp.array[int]
+    """Per block: 1 has a ray"""
+    rank: wp.array[int]
+    """Per block: how many have one up to here, its own included"""
+    block: wp.array[int]
+    """Per ray"""
+    found: wp.array[wp.uint8]
+    """Per ray: FOUND_*"""
+
+
+@wp.func
+def ray_count(rays: ReflectionRays, blocks: int) -> int:
+    """Return how many rays there are in this frame."""
+    return rays.rank[blocks - 1]
+
+
+@wp.func
+def sequence_seed(view: View, width: int, pixel: int) -> wp.uint32:
+    """Return the seed of a pixel's sequences."""
+    return pixel_seed_of(
+        view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
+
+
+@wp.func
+def place_of_frame(stride: int, frame: int) -> int:
+    """Return the place in a block whose turn it is: neighbouring frames lie far apart."""
+    if stride == 2:
+        y = frame & 1
+        return y * 2 + (y ^ ((frame >> 1) & 1))
+    if stride == 4:
+        x = (frame & 1) * 2 + ((frame >> 2) & 1)
+        y = ((frame ^ (frame >> 1)) & 1) * 2 + (((frame >> 2) ^ (frame >> 3)) & 1)
+        return y * 4 + x
+    return 0
+
+
+@wp.func
+def sequence_index(stride: int, frame: int, place: int) -> wp.uint32:
+    """Return the index in a pixel's sequences: it counts the pixel's turns.
+
+    A pixel that stands in for another takes numbers of their own, so that none comes twice.
+    """
+    if place == place_of_frame(stride, frame):
+        return wp.uint32(frame // (stride * stride))
+    return wp.uint32(frame + STAND_IN)
+
+
+@wp.func
+def make_idle(paths: Paths, vertices: Vertices, slot: int):
+    """Mark a slot as without a ray."""
+    paths.state[slot] = ENDED
+    vertices.emission[slot] = wp.vec4(0.0, 0.0, 0.0, IDLE)
+    vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    vertices.cell[slot] = NO_CELL
+
+
+@wp.func
+def start_ray(
+    paths: Paths, vertices: Vertices, rays: ReflectionRays, slot: int, seed: wp.uint32, index: wp.uint32,
+    weight: wp.vec3, pdf: float, cone: wp.vec2,
+):
+    """Set up a new slot, ended yet; see send_ray."""
+    paths.state[slot] = ENDED
+    paths.seed[slot] = seed
+    paths.index[slot] = index
+    paths.throughput[slot] = weight
+    paths.pdf[slot] = pdf
+    paths.cone[slot] = cone
+    vertices.emission[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    vertices.cell[slot] = NO_CELL
+    rays.found[slot] = FOUND_NONE
+
+
+@wp.func
+def send_ray(paths: Paths, slot: int, point: ShadingPoint, direction: wp.vec3, kind: int, surfaces: int):
+    """Send a ray on from a surface, the `surfaces`-th on its way."""
+    paths.state[slot] = surfaces
+    paths.origin[slot] = offset_origin(point.position, point.geometric_normal, point.error, direction)
+    paths.direction[slot] = direction
+    paths.t[slot] = FAR
+    paths.kind[slot] = kind
+
+
+@wp.func
+def gather(vertices: Vertices, slot: int, light: wp.vec3, length: float):
+    """Add light found on the way and length of way; `light` is throughput included."""
+    e = vertices.emission[slot]
+    vertices.emission[slot] = wp.vec4(
+        e[0] + light[0], e[1] + light[1], e[2] + light[2], wp.min(e[3] + length, SAMPLE_FAR))
+
+
+@wp.func
+def first_density(reflection: int, paths: Paths, slot: int) -> float:
+    """Return the density that a ray shares light with, see reflection_lights.py; 0: it counts in full.
+
+    Light samples stand for rays that come straight from the pixel's surface, `reflection` 1, over no mirror.
+    """
+    return wp.where(reflection == 1 and paths.state[slot] == 1, paths.pdf[slot], 0.0)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that puts together what reflection rays bring, once the radiance cache is up to date."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import Vertices, cell_seed
+from .geometry_math import PI, is_finite3, max_component
+from .hash_grid import (
+    NO_CELL,
+    HashGrid,
+    cell_key,
+    cell_level,
+    cell_size,
+    find_key,
+    find_lit_cell,
+    indirect_light,
+)
+from .packed_halves import pack_halves
+from .packing import HALF_MAX, rgb, rgba, unpack_normal
+from .paths import Paths
+from .reflection_rays import FOUND_CELL, FOUND_OWN, ReflectionRays, ray_count
+from .reflection_types import ReflectionOptions, ReflectionSamples
+from .view import View
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def lobe_width(pdf: float, t: float) -> float:
+    """Return how wide [m] a lobe is at a distance: 2 t sqrt(0.5 a^2 / (1 - a^2)), the a of a GGX lobe of that peak.
+
+    Along the normal such a lobe has the density 1 / (4 pi a^2).
+    """
+    a2 = 1.0 / (4.0 * PI * wp.max(pdf, 1.0e-3))
+    return 2.0 * t * wp.sqrt(0.5 * a2 / wp.max(1.0 - a2, 0.1))
+
+
+@wp.func
+def exact_cell(grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> int:
+    """Return the cell of a point without any chance in it, NO_CELL where it knows nothing."""
+    level = cell_level(grid, view.camera, position, wp.uint32(0))
+    cell = find_key(grid, cell_key(grid, level, position, normal, direction))
+    if cell != NO_CELL:
+        if not grid.direct[cell][3] > 0.0:
+            cell = NO_CELL
+    return cell
+
+
+@wp.func
+def hit_light(
+    view: View, grid: HashGrid, paths: Paths, vertices: Vertices, rays: ReflectionRays, slot: int, own_light: int,
+    jitter: int,
+) -> wp.vec3:
+    """Return irradiance / pi at a ray's hit."""
+    position = rgb(vertices.position[slot])
+    normal = unpack_normal(vertices.geometric_normal[slot])
+    direction = paths.direction[slot]
+    seed = cell_seed(slot, view.frame)
+    size = cell_size(cell_level(grid, view.camera, position, seed))
+    length = vertices.emission[slot][3]
+    # A lobe narrower than a cell would show it.
+    wide = paths.t[slot] > size and lobe_width(paths.pdf[slot], length) > size
+    cell = int(NO_CELL)
+    if wide or own_light == 0:
+        if jitter == 1:
+            cell = find_lit_cell(grid, view, position, normal, direction, seed)
+        else:
+            cell = exact_cell(grid, view, position, normal, direction)
+    direct = rgb(paths.radiance[slot])
+    rays.found[slot] = FOUND_OWN
+    if own_light == 0:
+        direct = wp.vec3(0.0, 0.0, 0.0)
+    if cell != NO_CELL:
+        direct = rgb(grid.direct[cell])
+        rays.found[slot] = FOUND_CELL
+    else:
+        cell = vertices.cell[slot]
+    return direct + indirect_light(grid, view, cell, position, normal, direction, seed)
+
+
+@wp.kernel
+def resolve_reflections(
+    # In:
+    first: int,
+    views: wp.array[View],
+    options: ReflectionOptions,
+    grid: HashGrid,
+    own_light: int,
+    jitter: int,
+    paths: Paths,
+    vertices: Vertices,
+    # Out:
+    rays_out: ReflectionRays,
+    samples_out: ReflectionSamples,
+):
+    """Write the samples of all rays: demodulated, exposed, with the length of the way.
+
+    `own_light` 1: the hits have traced shadow rays. `jitter` 1: look up cells half a cell aside, to hide their borders.
+    """
+    slot = first + wp.tid()
+    if slot >= ray_count(rays_out, options.columns * options.rows):
+        return
+    view = views[0]
+    light = rgb(vertices.emission[slot])
+    reflectance = rgb(vertices.reflectance[slot])
+    if max_component(reflectance) > 0.0:
+        arriving = hit_light(view, grid, paths, vertices, rays_out, slot, own_light, jitter)
+        light = light + wp.cw_mul(paths.throughput[slot], wp.cw_mul(reflectance, arriving))
+    light = light * view.exposure
+    if not is_finite3(light):
+        light = wp.vec3(0.0, 0.0, 0.0)
+    light = wp.vec3(wp.clamp(light[0], 0.0, HALF_MAX), wp.clamp(light[1], 0.0, HALF_MAX),
+                    wp.clamp(light[2], 0.0, HALF_MAX))
+    samples_out.radiance[rays_out.block[slot]] = pack_halves(rgba(light, vertices.emission[slot][3]))

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The two places in the frame before where a reflection may come from: its surface's and its virtual image's.
+
+Eto et al. 2023, section 2; method 7.4.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .filter_weights import squared_cosine, unit_normal
+from .gbuffer import SURFACE_MOVED, GBuffer
+from .geometry_math import max_component
+from .long_mean import (
+    ALL_TAPS,
+    ON_CENTRE,
+    TAP_MINIMUM,
+    gather_mean,
+    nearest_tap,
+    off_centre,
+    surrounded,
+    unpack_mean,
+    usable_weight,
+)
+from .packed_halves import unpack_halves
+from .packing import rgb
+from .reflection_blocks import light_strength
+from .reflection_types import SAMPLE_FAR, ReflectionOptions, fading
+from .reprojection import Reprojection, has_tap, tap_pixel
+from .view import (
+    SKY_DEPTH,
+    View,
+    direction_to_eye,
+    film_position,
+    pixel_footprint,
+    previous_film_position,
+    project,
+    unproject,
+)
+
+# Frames that the distance of what is reflected is averaged over at most.
+DISTANCE_FRAMES = wp.constant(8.0)
+# Relative difference that is always taken for noise.
+MARGIN = wp.constant(0.05)
+# Roughness up to which the virtual image is preferred, and over which the preference moves to the surface.
+VIRTUAL_ROUGHNESS = wp.constant(0.1)
+VIRTUAL_BLEND = wp.constant(0.5)
+# Least share of either source, before the scores.
+SOURCE_MINIMUM = wp.constant(0.02)
+# What another pixel of the frame before must have for the virtual image to be seen in it: squared cosine of the
+# normals, relative depth or distance from the plane [px], roughness.
+IMAGE_COSINE2 = wp.constant(0.9)
+IMAGE_DEPTH = wp.constant(0.05)
+IMAGE_PLANE = wp.constant(2.0)
+IMAGE_ROUGHNESS = wp.constant(0.1)
+
+
+@wp.struct
+class ReflectionHistory:
+    """What a frame leaves of reflections for the next: 16 bytes a pixel."""
+
+    light: wp.array[wp.uint64]
+    """pack_mean of demodulated radiance, exposed; 0 where nothing is sampled"""
+    state: wp.array[wp.uint64]
+    """pack_halves: frames in the mean (negative: the light is changing); short mean and standard deviation of the
+    strength; closeness (1 / distance) of what is seen"""
+
+
+@wp.struct
+class ReflectionMean:
+    """The mean of one pixel."""
+
+    light: wp.vec3
+    length: float
+    fast: float
+    deviation: float
+    closeness: float
+    changed: int
+
+
+@wp.func
+def no_reflection() -> ReflectionMean:
+    """Return a mean of no frames."""
+    m = ReflectionMean()
+    m.light = wp.vec3(0.0, 0.0, 0.0)
+    m.length = 0.0
+    m.fast = 0.0
+    m.deviation = 0.0
+    m.closeness = 1.0 / SAMPLE_FAR
+    m.changed = 0
+    return m
+
+
+@wp.func
+def with_reflection_state(m: ReflectionMean, state: wp.vec4) -> ReflectionMean:
+    """Return the mean with everything but its light set from ReflectionHistory.state."""
+    out = m
+    out.length = wp.abs(state[0])
+    out.fast = state[1]
+    out.deviation = state[2]
+    out.closeness = state[3]
+    return out
+
+
+@wp.func
+def gather_reflection(
+    history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
+) -> ReflectionMean:
+    """Return the mean of the frame before at a place; its length is 0 where there is none."""
+    m = no_reflection()
+    if not off_centre(position):
+        nearest = nearest_tap(position)
+        if has_tap(taps, nearest):
+            pixel = tap_pixel(position, nearest, width)
+            found = unpack_halves(history.state[pixel])
+            if found[0] != 0.0:
+                m = with_reflection_state(m, found)
+                m.changed = wp.where(found[0] < 0.0, 1, 0)
+                m.light = unpack_mean(history.light[pixel])
+        return m
+    weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    state = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    total = float(0.0)
+    changed = float(0.0)
+    complete = int(taps) == ALL_TAPS
+    for tap in range(4):
+        w = usable_weight(position, taps, tap)
+        if w > 0.0:
+            around = unpack_halves(history.state[tap_pixel(position, tap, width)])
+            if around[0] != 0.0:
+                if around[0] < 0.0:
+                    changed += w
+                    around[0] = -around[0]
+                weights[tap] = w
+                total += w
+                state += around * w
+            else:
+                complete = False
+    if total > TAP_MINIMUM:
+        scale = 1.0 / total
+        m = with_reflection_state(m, state * scale)
+        m.changed = wp.where(changed > 0.25 * total, 1, 0)
+        wide = complete and surrounded(gbuffer, position, width, height)
+        m.light = gather_mean(history.light, position, weights * scale, complete, wide, width, height)
+    return m
+
+
+@wp.func
+def image_position(view: View, width: int, pixel: int, depth: float, closeness: float) -> wp.vec2:
+    """Return where in the frame before the virtual image of what a pixel reflects was: film-local [px].
+
+    The image lies on the ray of view, behind the surface by the distance of what is reflected, as in a flat mirror.
+    """
+    x = pixel % width
+    y = pixel // width
+    point = unproject(view.camera, film_position(view, x, y), depth)
+    image = point - direction_to_eye(view.camera, point) * wp.min(1.0 / wp.max(closeness, 1.0e-9), SAMPLE_FAR)
+    now = project(view.camera, image)
+    before = project(view.previous, image)
+    if before[2] <= 0.0:
+        return wp.vec2(-1.0e6, -1.0e6)
+    return wp.vec2(
+        float(x + view.camera.crop_x - view.previous.crop_x) + 0.5 - now[0] + before[0],
+        float(y + view.camera.crop_y - view.previous.crop_y) + 0.5 - now[1] + before[1])
+
+
+@wp.func
+def surface_roughness(gbuffer: GBuffer, pixel: int) -> float:
+    """Return the roughness of a pixel's base lobe."""
+    return float(gbuffer.material[pixel] & wp.uint32(65535)) * 1.5259022e-5
+
+
+@wp.func
+def image_taps(
+    view: View, gbuffer: GBuffer, previous: GBuffer, width: int, height: int, pixel: int, position: wp.vec2,
+) -> wp.uint8:
+    """Return which of the four pixels around a place in the frame before show a surface like a pixel's."""
+    left = int(wp.floor(position[0] - 0.5))
+    low = int(wp.floor(position[1] - 0.5))
+    point = unproject(
+        view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
+    depth = project(view.previous, point)[2]
+    normal = unit_normal(gbuffer.normal[pixel])
+    plane_normal = unit_normal(gbuffer.geometric_normal[pixel])
+    tolerance = IMAGE_PLANE * pixel_footprint(view.camera, gbuffer.depth[pixel])
+    roughness = surface_roughness(gbuffer, pixel)
+    taps = int(0)
+    for tap in range(4):
+        i = left + (tap & 1)
+        j = low + (tap >> 1)
+        if i >= 0 and j >= 0 and i < width and j < height:
+            q = j * width + i
+            there = previous.depth[q]
+            other = unproject(view.previous, previous_film_position(view, i, j), wp.min(there, 1.0e15))
+            # A flat mirror's plane may be seen aslant: its depth says nothing.
+            alike = wp.abs(there - depth) < IMAGE_DEPTH * depth
+            alike = alike or wp.abs(wp.dot(plane_normal, other - point)) < tolerance
+            alike = alike and wp.abs(surface_roughness(previous, q) - roughness) < IMAGE_ROUGHNESS
+            alike = alike and squared_cosine(normal, previous.normal[q]) > IMAGE_COSINE2
+            if alike and there < SKY_DEPTH:
+                taps = taps | (1 << tap)
+    return wp.uint8(taps)
+
+
+@wp.func
+def score(m: ReflectionMean, color: wp.vec3, deviation: float) -> float:
+    """Return how well a mean agrees with a frame's light, 0..1; brighter and darker means alike."""
+    apart = max_component(wp.abs(m.light - color))
+    unit = deviation + MARGIN * light_strength(color) + 1.0e-6
+    return 1.0 / (1.0 + apart * apart / (unit * unit))
+
+
+@wp.func
+def blended(surface: ReflectionMean, image: ReflectionMean, share: float) -> ReflectionMean:
+    """Return the mean of both sources, `share` of it from the virtual image."""
+    m = ReflectionMean()
+    m.light = wp.lerp(surface.light, image.light, share)
+    m.length = wp.lerp(surface.length, image.length, share)
+    m.fast = wp.lerp(surface.fast, image.fast, share)
+    m.deviation = wp.lerp(surface.deviation, image.deviation, share)
+    m.closeness = wp.lerp(surface.closeness, image.closeness, share)
+    m.changed = wp.where(share > 0.5, image.changed, surface.changed)
+    return m
+
+
+@wp.func
+def gather_sources(
+    view: View, gbuffer: GBuffer, previous: GBuffer, reprojection: Reprojection, options: ReflectionOptions,
+    history: ReflectionHistory, pixel: int, roughness: float, light: wp.vec4, deviation: float,
+) -> ReflectionMean:
+    """Return the mean of the frame before, from where the surface and where the virtual image was.
+
+    In detail:
+        light: Of this frame; w = closeness of what is reflected.
+        deviation: Of the light around.
+    """
+    width = options.width
+    position = reprojection.position[pixel]
+    surface = gather_reflection(history, previous, position, reprojection.taps[pixel], width, options.height)
+    # The image of a mirror that moves moves otherwise; at rest both places are one.
+    if view.rest > 0 or (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0):
+        return surface
+    smooth = fading(roughness, VIRTUAL_ROUGHNESS, VIRTUAL_BLEND)
+    closeness = light[3]
+    if surface.length > 0.0:
+        closeness = wp.lerp(surface.closeness, closeness, wp.max(smooth, 1.0 / DISTANCE_FRAMES))
+    there = image_position(view, width, pixel, gbuffer.depth[pixel], closeness)
+    apart = there - position
+    if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
+        return surface
+    taps = image_taps(view, gbuffer, previous, width, options.height, pixel, there)
+    if taps == wp.uint8(0):
+        return surface
+    image = gather_reflection(history, previous, there, taps, width, options.height)
+    if image.length <= 0.0:
+        return surface
+    if surface.length <= 0.0:
+        return image
+    prefer = wp.clamp(smooth, SOURCE_MINIMUM, 1.0 - SOURCE_MINIMUM)
+    for_image = prefer * score(image, rgb(light), deviation)
+    for_surface = (1.0 - prefer) * score(surface, rgb(light), deviation)
+    return blended(surface, image, for_image / (for_image + for_surface))

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that draws the first directions of reflection rays, from the G-buffer's lobes."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import Vertices
+from .gbuffer import GBuffer, barycentrics_of, load_material, load_surface, view_direction
+from .geometry_math import is_finite3, sqr
+from .ggx import bounded_cap, ggx_d
+from .intersect import surface_point
+from .packing import pack_normal
+from .paths import Paths, make_hit
+from .reflection_rays import (
+    DIMENSION_DIRECTION,
+    DIMENSION_LOBE,
+    ReflectionRays,
+    make_idle,
+    ray_count,
+    send_ray,
+    sequence_index,
+    sequence_seed,
+    start_ray,
+)
+from .reflection_types import ReflectionOptions, ReflectionSamples, place_pixel
+from .sampling import sample_pair
+from .specular_lobes import SpecularLobes, lobe_frame, lobes_pdf, lobes_value, sample_lobes, specular_lobes
+from .tracing import FOOTPRINT_SCALE
+from .types import VISIBLE_GLOSSY, Scene
+from .view import View, pixel_footprint
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def drawing_density(local_o: wp.vec3, local_i: wp.vec3, alpha: float) -> float:
+    """Return the density of sample_ggx_reflection, below the surface too."""
+    if local_o[2] <= 0.0:
+        return 0.0
+    d = ggx_d(wp.normalize(local_o + local_i), alpha, alpha)
+    length = wp.sqrt(sqr(alpha) * (sqr(local_o[0]) + sqr(local_o[1])) + sqr(local_o[2]))
+    return d / (2.0 * (bounded_cap(local_o, alpha, alpha) * local_o[2] + length))
+
+
+@wp.func
+def drawn_pdf(lobes: SpecularLobes, wi: wp.vec3) -> float:
+    """Return the density with which sample_lobes has drawn a direction, whether or not it leaves the surface."""
+    local_i = lobe_frame(lobes, wi)
+    pdf = drawing_density(lobes.local_o, local_i, lobes.alpha) * (1.0 - lobes.coat_share)
+    if lobes.coat_share > 0.0:
+        pdf += drawing_density(lobes.local_o, local_i, lobes.coat_alpha) * lobes.coat_share
+    return pdf
+
+
+@wp.func
+def over_albedo(light: wp.vec3, albedo: wp.vec3) -> wp.vec3:
+    """Return light / albedo for each channel; 0 where nothing is reflected."""
+    r = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        if albedo[c] > 0.0:
+            r[c] = light[c] / albedo[c]
+    return r
+
+
+@wp.kernel
+def start_reflections(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    options: ReflectionOptions,
+    gbuffer: GBuffer,
+    # Out:
+    samples_out: ReflectionSamples,
+    rays_out: ReflectionRays,
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Draw a direction for each ray.
+
+    One that lies below the surface is absorbed, as in the path tracer: a black sample, for which the albedo accounts.
+    """
+    slot = first + wp.tid()
+    if slot >= ray_count(rays_out, options.columns * options.rows):
+        make_idle(paths_out, vertices_out, slot)
+        return
+    view = views[0]
+    block = rays_out.block[slot]
+    place = int(samples_out.place[block])
+    pixel = place_pixel(options, block, place)
+    m = load_material(gbuffer, pixel)
+    surface = load_surface(view, gbuffer, options.width, pixel)
+    wo = view_direction(view, surface)
+    lobes = specular_lobes(m, surface, wo)
+    seed = sequence_seed(view, options.width, pixel)
+    index = sequence_index(options.stride, view.frame, place)
+    pick = sample_pair(seed, index, DIMENSION_LOBE)
+    direction = sample_lobes(lobes, sample_pair(seed, index, DIMENSION_DIRECTION), pick[0])
+    pdf = lobes_pdf(lobes, direction)
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    if pdf > 0.0:
+        weight = over_albedo(lobes_value(m, lobes, direction) / pdf, m.specular)
+        if not is_finite3(weight):
+            weight = wp.vec3(0.0, 0.0, 0.0)
+    drawn = wp.max(drawn_pdf(lobes, direction), 1.0e-6)
+    if not wp.isfinite(drawn):
+        drawn = 1.0e-6
+    footprint = pixel_footprint(view.camera, surface.depth) * FOOTPRINT_SCALE
+    samples_out.direction[block] = pack_normal(direction)
+    samples_out.pdf[block] = drawn
+    cone = wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE)
+    start_ray(paths_out, vertices_out, rays_out, slot, seed, index, weight, drawn, cone)
+    if wp.dot(direction, surface.geometric_normal) > 0.0 and wp.max(weight[0], wp.max(weight[1], weight[2])) > 0.0:
+        point = surface_point(scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -wo)
+        send_ray(paths_out, slot, point, direction, VISIBLE_GLOSSY, 1)

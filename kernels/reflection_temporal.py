@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Temporal half of the reflections' denoiser (Eto et al. 2023, section 2; method 7.4).
+
+A reflection moves with the surface or with the virtual image of what it shows: the mean is taken from both places in
+the frame before, by how well each agrees with this frame. It is kept near this frame's neighbourhood and cut short
+where a short mean leaves it. What counts is how much of a sample of its own a frame brought a pixel, so that mirrors
+become as sharp as their own samples.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .gbuffer import GBuffer, load_material
+from .geometry_math import is_finite3, max_component
+from .long_mean import EDIT_FRAMES, history_cap, pack_mean
+from .packed_halves import pack_halves, unpack_halves
+from .packing import rgb
+from .reflection_blocks import ReflectionLight, filter_roughness, light_strength, unpack_state
+from .reflection_sources import (
+    DISTANCE_FRAMES,
+    MARGIN,
+    ReflectionHistory,
+    ReflectionMean,
+    gather_sources,
+    no_reflection,
+)
+from .reflection_types import ReflectionOptions, is_sampled
+from .reprojection import Reprojection
+from .view import SKY_DEPTH, View, settling_frames
+
+# Fast: means and weights need no division that is exact to the last bit.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+# Frames in the short mean.
+FAST_FRAMES = wp.constant(6.0)
+# Frames that the deviation is averaged over at most.
+DEVIATION_FRAMES = wp.constant(64.0)
+# Of the frames since light began to spread, those that a mean may reach back: the first lack most of its bounces.
+SETTLING_SHARE = wp.constant(0.5)
+# Standard errors by which means must differ for a change to be seen, and for one that was seen to go on.
+CHANGE_DEVIATIONS = wp.constant(2.5)
+CHANGING_DEVIATIONS = wp.constant(1.0)
+# Frames at rest after which neither changes nor ghosts are looked for: what looks like one is chance.
+REST_FRAMES = wp.constant(16.0)
+# Confidence of a frame that brought nothing of this pixel's own, while the mean is shorter than so many frames.
+START_CONFIDENCE = wp.constant(0.05)
+START_FRAMES = wp.constant(2.0)
+# Confidence below which a frame says nothing about changes.
+TELLING = wp.constant(0.25)
+# What a mean counts for in the frame in which light is edited: less than a frame without a sample of its own.
+EDIT_LENGTH = wp.constant(0.01)
+
+
+@wp.func
+def clamped(m: ReflectionMean, color: wp.vec3, deviation: float, limit: float) -> ReflectionMean:
+    """Return the mean drawn towards a frame's light, until it differs by no more than `limit` deviations.
+
+    The deviation is the larger of the one around in this frame and the one over frames: where light comes in rare
+    bright samples, a frame without any must not take what the mean has of them.
+    """
+    out = m
+    apart = max_component(wp.abs(m.light - color))
+    allowed = limit * wp.max(deviation, m.deviation) + MARGIN * light_strength(color)
+    if apart > allowed:
+        out.light = wp.lerp(color, m.light, allowed / apart)
+    return out
+
+
+@wp.func
+def change_of(m: ReflectionMean, strength: float, moving: float) -> float:
+    """Return 0..1: whether the light has changed: the short mean has left the long one, and the new light agrees."""
+    slow = light_strength(m.light)
+    difference = m.fast - slow
+    if difference * (strength - slow) < 0.25 * difference * difference:
+        return 0.0
+    margin = MARGIN * wp.max(m.fast, slow)
+    error = wp.sqrt(m.deviation * m.deviation / (2.0 * FAST_FRAMES - 1.0) + margin * margin) + 1.0e-7
+    threshold = wp.where(m.changed == 1, CHANGING_DEVIATIONS, CHANGE_DEVIATIONS)
+    known = wp.clamp((m.length - 2.0) * 0.2, 0.0, 1.0)
+    return moving * known * wp.clamp((wp.abs(difference) / error - threshold) * 0.5, 0.0, 1.0)
+
+
+@wp.func
+def add_reflection(
+    m: ReflectionMean, light: wp.vec4, confidence: float, moving: float, cap: float,
+) -> ReflectionMean:
+    """Return the mean after a frame that counts for `confidence` samples."""
+    out = m
+    strength = light_strength(rgb(light))
+    change = float(0.0)
+    if confidence > TELLING:
+        change = change_of(m, strength, moving)
+        out.changed = wp.where(change > 0.0, 1, 0)
+    out.length = wp.min(m.length * (1.0 - change) + confidence, cap)
+    if out.length <= 0.0:
+        return out
+    blend = wp.min(confidence / out.length, 1.0)
+    if change == 0.0:
+        # A change is not noise: it must not widen what counts as noise.
+        narrow = wp.max(blend, confidence / DEVIATION_FRAMES)
+        apart = max_component(wp.abs(rgb(light) - m.light))
+        out.deviation = wp.sqrt((1.0 - narrow) * (m.deviation * m.deviation + narrow * apart * apart))
+    out.fast = wp.lerp(m.fast, strength, wp.max(blend, confidence / FAST_FRAMES))
+    out.closeness = wp.lerp(m.closeness, light[3], wp.max(blend, confidence / DISTANCE_FRAMES))
+    out.light = wp.lerp(m.light, rgb(light), blend)
+    return out
+
+
+@wp.kernel
+def accumulate_reflections(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    previous_gbuffer: GBuffer,
+    reprojection: Reprojection,
+    options: ReflectionOptions,
+    lights: ReflectionLight,
+    history: ReflectionHistory,
+    temporal: int,
+    frames: float,
+    limit: float,
+    # Out:
+    history_out: ReflectionHistory,
+):
+    """Average reflections over frames (method 7.4); banded over pixels.
+
+    In detail:
+        first: Of the band.
+        lights: Of this frame, from the filter.
+        history: Of the frame before.
+        temporal: 0: this frame's light alone.
+        frames: Cap of the mean's length in motion.
+        limit: Deviations around this frame's light that the mean is kept within; 0: any.
+
+    89 bytes a pixel that reflects: 73 read (material 36, reprojection 9, light 12, history 16 from one pixel, or while
+    the camera moves from two places of up to 12), 16 written.
+    """
+    pixel = first + wp.tid()
+    view = views[0]
+    m = no_reflection()
+    material = load_material(gbuffer, pixel)
+    if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material):
+        light = unpack_halves(lights.light[pixel])
+        state = unpack_state(lights.state[pixel])
+        known = state[1] >= 0.0 and is_finite3(rgb(light))
+        if view.restart == 0 and temporal == 1:
+            m = gather_sources(
+                view, gbuffer, previous_gbuffer, reprojection, options, history, pixel, filter_roughness(material),
+                light, wp.where(known, state[0], 1.0e4))
+        if view.light_age == 0:
+            m.length = wp.min(m.length, EDIT_LENGTH)
+        if known:
+            confidence = wp.max(state[1], START_CONFIDENCE * wp.clamp(1.0 - m.length / START_FRAMES, 0.0, 1.0))
+            moving = wp.clamp(1.0 - float(view.rest) / REST_FRAMES, 0.0, 1.0)
+            if limit > 0.0 and moving > 0.0 and m.length > 0.0 and state[1] > TELLING:
+                m = clamped(m, rgb(light), state[0], limit / moving)
+            cap = wp.min(
+                history_cap(view.rest, view.light_age, frames), 1.0 + SETTLING_SHARE * settling_frames(view))
+            if view.light_age < EDIT_FRAMES:
+                # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
+                cap *= wp.max(confidence, START_CONFIDENCE)
+            m = add_reflection(m, light, confidence, moving, cap)
+    history_out.light[pixel] = pack_mean(m.light)
+    history_out.state[pixel] = pack_halves(
+        wp.vec4(wp.where(m.changed == 1, -m.length, m.length), m.fast, m.deviation, m.closeness))

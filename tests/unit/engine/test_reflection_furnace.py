@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the energy of reflections in real time: white furnaces of every roughness, metal, coats, glass."""
+
+import pytest
+
+from tests import glossy_checks
+from tests.light_checks import Setup
+
+SMALL = Setup((144, 48), truth_samples=64)
+BOX = Setup((48, 36), truth_samples=512)
+
+
+def check(result):
+    """Fail with all figures that miss their goals."""
+    missed = [f"{f.name}: {f.value:.4g} is not in {f.low:g}..{f.high:g}" for f in result[0] if not f.good]
+    assert not missed, "\n".join(missed)
+
+
+@pytest.mark.parametrize("kinds", [
+    ("plastic", "metal"), pytest.param(("coated plastic", "coated metal"), marks=pytest.mark.slow),
+    pytest.param(("half metal", "glass"), marks=pytest.mark.slow)])
+def test_white_balls(kinds):
+    """Find the light of Reference on white balls of every roughness in a white world."""
+    check(glossy_checks.white_balls(SMALL, kinds, 64))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+@pytest.mark.parametrize("roughness", glossy_checks.ROUGHNESSES)
+def test_glossy_box(roughness, metallic):
+    """Find the light of Reference in a closed box that emits and reflects."""
+    check(glossy_checks.glossy_box(BOX, 128, metallic=metallic, roughness=roughness))
+
+
+@pytest.mark.slow
+def test_coated_box():
+    """Find the light of Reference in a closed box with a smooth coat over rough walls."""
+    check(glossy_checks.glossy_box(BOX, 128, roughness=0.6, coat=1.0, coat_roughness=0.05))

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of the lists of rays that meet layers, the lean kernels that work them off, and rays in flat scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.device import choose_device
+from burnish.engine.device_scene import DeviceScene
+from burnish.engine.frame_graph import FrameGraph
+from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
+from burnish.engine.shadow_rays import make_options, make_queue
+from burnish.engine.structures import is_flat
+from burnish.engine.work_list import LISTED_THREADS, make_work_list
+from burnish.kernels import compaction, flat_tracing, layers, layers_lean, shadow_layers, shadow_layers_lean, tracing
+from burnish.kernels.intersect import MISS
+from burnish.kernels.paths import Paths
+from burnish.kernels.types import VISIBLE_DIFFUSE
+
+from tests import scenes
+from tests.unit.engine.test_lean import row_of_balls, textured
+
+COUNT = 3000
+WRITTEN = ("t", "hit", "barycentrics", "throughput", "overruns", "layer", "layer_t")
+LIT = ("shadow_distance", "shadow_light", "radiance", "overruns", "layer")
+
+
+def veils():
+    """Make squares of textured layers under each other over a floor, beside nothing."""
+    materials = {"leaf": textured(transparent=True), "veil": scenes.transparent(0.6, color=0.5),
+                 "grey": scenes.material(color=0.5)}
+    delta = row_of_balls(materials)
+    heights = {"grey": -0.5, "leaf": 0.2, "veil": 0.5}
+    places = [("square", scenes.place(0.1 * i, 0.05 * i, heights[name] + 0.1 * i), name)
+              for i, name in enumerate(("grey", "leaf", "veil", "leaf", "veil"))]
+    return dataclasses.replace(scenes.delta(delta.meshes, places, materials), images=delta.images)
+
+
+def make_paths(device, distance=9.0):
+    """Return rays that fall from above, and shadow rays alike; every seventh has none of both."""
+    rng = np.random.default_rng(2)
+    paths = Paths()
+    for arrays, size in ((RAY_ARRAYS, COUNT), (LAYER_ARRAYS, COUNT), (UNUSED_ARRAYS, 1)):
+        for name, dtype in arrays.items():
+            setattr(paths, name, wp.zeros(size, dtype=dtype, device=device))
+    origin = np.stack([*rng.uniform(-1, 1, (2, COUNT)), np.full(COUNT, 3.0)], -1).astype(np.float32)
+    direction = rng.normal(0, 0.1, (COUNT, 3)) + [0.0, 0.0, -1.0]
+    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+    idle = np.arange(COUNT) % 7 == 0
+    for prefix in ("", "shadow_"):
+        getattr(paths, prefix + "origin").assign(origin)
+        getattr(paths, prefix + "direction").assign(direction)
+    paths.state.assign(np.where(idle, -1, 1).astype(np.int32))
+    paths.t.fill_(distance)
+    paths.shadow_distance.assign(np.where(idle, 0.0, distance).astype(np.float32))
+    paths.shadow_light.fill_(wp.vec3(1.0, 2.0, 3.0))
+    paths.throughput.fill_(wp.vec3(1.0, 1.0, 1.0))
+    paths.kind.fill_(int(VISIBLE_DIFFUSE))
+    paths.seed.assign(rng.integers(0, 1 << 31, COUNT, np.uint32))
+    return paths
+
+
+def values(paths, names):
+    """Return copies of arrays."""
+    return {name: getattr(paths, name).numpy().copy() for name in names}
+
+
+def assert_same(a, b):
+    """Compare arrays exactly."""
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Make a scene of layers."""
+    device = choose_device(scenes.SETTINGS.device)
+    made = DeviceScene(device)
+    made.apply(veils(), scenes.SETTINGS.performance)
+    assert made.structures.has_filtered and made.material_table.lean.transparency and is_flat(made.scene)
+    return made
+
+
+def run_listed(device, append, inputs, kernel, before, paths, listed):
+    """Run a kernel over a list: as frames do it on this device, or (`listed`) as on CUDA, with fewer threads."""
+    work = make_work_list(COUNT, device)
+    graph = FrameGraph(device)
+    if listed:
+        work.count.zero_()
+        wp.launch(append, COUNT, inputs, [work.queue, work.count], device=device, block_dim=64)
+        found = int(work.count.numpy()[0])
+        wp.launch(kernel, 128, [*before, 128, work.count, work.queue], [paths], device=device, block_dim=64)
+        return found
+    graph.fill_list(append, COUNT, inputs, work)
+    graph.launch_listed(kernel, before, work, [paths])
+    graph.replay()
+    return int(work.count.numpy()[0])
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_rays_pass_layers_alike(scene, listed):
+    """Stop at the same layers with the lean machine over a list as with the full one over all rays."""
+    device, full, lean = scene.device, make_paths(scene.device), make_paths(scene.device)
+    queue = make_queue(COUNT, device)
+    for paths in (full, lean):
+        wp.launch(tracing.trace_paths, COUNT, [scene.scene, queue], [paths], device=device, block_dim=64)
+        wp.launch(tracing.trace_layers, COUNT, [scene.scene, queue], [paths], device=device, block_dim=64)
+    met = (full.layer.numpy()[:, 0] != int(MISS)) & (full.state.numpy() >= 0)
+    wp.launch(layers.filter_paths, COUNT, [scene.scene, queue], [full], device=device, block_dim=64)
+    found = run_listed(device, compaction.append_layered_paths, [lean, 0], layers_lean.filter_paths_lean,
+                       [scene.scene], lean, listed)
+    assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
+    stopped = (full.hit.numpy() == full.layer.numpy()).all(1)[met].mean()
+    assert 0.2 < stopped < 0.95
+    assert_same(values(full, WRITTEN), values(lean, WRITTEN))
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_shadow_rays_pass_layers_alike(scene, listed):
+    """Weaken shadow rays alike with both machines."""
+    device, queue, options = scene.device, make_queue(COUNT, scene.device), make_options(filtered=True)
+    full, lean = make_paths(device, 2.75), make_paths(device, 2.75)
+    for paths in (full, lean):
+        wp.launch(tracing.trace_shadow_layers, COUNT, [scene.scene, options, 1, queue], [paths], device=device,
+                  block_dim=64)
+    before = [scene.scene, options, 1]
+    met = (full.layer.numpy()[:, 0] != int(MISS)) & (full.shadow_distance.numpy() != 0)
+    wp.launch(shadow_layers.weaken_shadow_rays, COUNT, [*before, queue], [full], device=device, block_dim=64)
+    found = run_listed(device, compaction.append_layered_shadows, [lean], shadow_layers_lean.weaken_shadow_rays_lean,
+                       before, lean, listed)
+    assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
+    light = full.radiance.numpy()[:, 0]
+    assert ((light[met] > 0.0) & (light[met] < 1.0)).mean() > 0.9
+    assert_same(values(full, LIT), values(lean, LIT))
+
+
+def test_flat_rays_find_the_same(scene):
+    """Trace in a flat scene with the kernels that know no second level as with those that do."""
+    device, queue, options = scene.device, make_queue(COUNT, scene.device), make_options(filtered=True)
+    both, flat = make_paths(device), make_paths(device)
+    all_of = scene.scene
+    for kernel, inputs, paths in (
+            (tracing.trace_paths, [all_of, queue], both), (flat_tracing.trace_flat_rays, [0, all_of, 0], flat),
+            (tracing.trace_layers, [all_of, queue], both), (flat_tracing.trace_flat_layers, [0, all_of, 0], flat)):
+        wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
+    alive = both.state.numpy() >= 0
+    one, other = (values(paths, WRITTEN) for paths in (both, flat))
+    assert 0.1 < (one["hit"][alive, 0] >= 0).mean() < 0.9
+    assert_same({name: one[name][alive] for name in one}, {name: other[name][alive] for name in other})
+    for kernel, inputs, paths in (
+            (tracing.trace_shadows, [all_of, options, 1, queue], both),
+            (flat_tracing.trace_flat_shadows, [0, all_of], flat),
+            (tracing.trace_shadow_layers, [all_of, options, 1, queue], both),
+            (flat_tracing.trace_flat_shadow_layers, [0, all_of, options, 1], flat)):
+        wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
+    assert_same(values(both, LIT), values(flat, LIT))
+    assert (both.shadow_distance.numpy() == 0).mean() > 0.3
+
+
+def test_lists_hold_all_on_the_processor():
+    """Give bands of elements to the processor's threads, each element once."""
+    work = make_work_list(LISTED_THREADS, "cpu")
+    assert (work.part(5, 9).queue.numpy() == np.arange(5, 14)).all() and len(work.queue) == LISTED_THREADS
