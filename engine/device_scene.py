@@ -75,6 +75,8 @@ class DeviceScene:
         self.luminance = (0.2126729, 0.7151522, 0.0721750)
         self.emitters = EmitterTable.empty(device)
         self.environment = no_environment(device)
+        self.world_texels = wp.zeros(1, dtype=wp.vec3, device=device)
+        """The world's radiance by texels of its table, see build_environment"""
         self.environment_power = 0.0
         self.local_power = 0.0
         """Of all lamps with a place and all emissive triangles [W]"""
@@ -147,7 +149,7 @@ class DeviceScene:
                     self.scene, self.plan, self.table, self.store, self.materials, self.device)
                 self._assemble()
             if delta.world is not None or delta.images or not self.environment_built:
-                build_environment(self.scene, self.world, self.device, self._assemble_with)
+                self.world_texels = build_environment(self.scene, self.world, self.device, self._assemble_with)
                 self.environment_built = True
             if emission_moved or materials_changed or delta.images or delta.lights is not None:
                 self._choose_lights()
@@ -377,6 +379,11 @@ class DeviceScene:
     def has_light_programs(self) -> bool:
         """Return whether a light's radiance is a program: a textured emitter, a world that varies."""
         return self.emitters.textured or self.scene.environment.constant == 0
+
+    @property
+    def has_hit_programs(self) -> bool:
+        """Return the same for lights as rays' hits are lit by them: they take the world's light from its texels."""
+        return self.emitters.textured or (self.scene.environment.constant == 0 and len(self.world_texels) == 1)
 
     def triangle_count(self) -> int:
         """Return the triangles of all instances together."""

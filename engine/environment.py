@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ..kernels import types
+from ..kernels import node_codes, types
 from ..kernels.environment import bake_environment
 from .alias_table import build_alias_table
 from .device import run_bands
+from .program import Program
 from .scene import WorldData
 
 __all__ = ["build_environment", "no_environment"]
@@ -39,7 +40,7 @@ def no_environment(device: str, world: WorldData | None = None) -> types.Environ
 def build_environment(
     scene: types.Scene, world: WorldData | None, device: str,
     assemble: Callable[[types.Environment, float], types.Scene],
-) -> None:
+) -> wp.array:
     """Bake the table of a world that varies; a constant world needs none.
 
     Args:
@@ -47,25 +48,30 @@ def build_environment(
         world: None is black.
         device: Where to bake.
         assemble: Takes the struct and the world's radiance integrated over the sphere into the scene.
+
+    Returns:
+        Mean radiance of each texel, vec3; only one entry where the world is constant or not the same for all rays.
     """
     environment = no_environment(device, world)
     if environment.constant == 1:
         assemble(environment, float(np.mean(environment.radiance)) * 4.0 * np.pi)
-        return
+        return wp.zeros(1, dtype=wp.vec3, device=device)
     scene = assemble(environment, 0.0)
     width = max(int(world.importance_resolution), 4)
     height = max(width // 2, 2)
     importance = wp.zeros(width * height, dtype=float, device=device)
+    radiance = wp.zeros(width * height, dtype=wp.vec3, device=device)
     if wp.get_device(device).is_cuda:
-        wp.launch(bake_environment, width * height, [scene, width, height, 0, POINTS], [importance], device=device)
+        wp.launch(
+            bake_environment, width * height, [scene, width, height, 0, POINTS], [importance, radiance], device=device)
     else:
         wp.load_module(bake_environment.module.name, device=device)
         rows = np.linspace(0, height, 17).astype(int)
 
         def bake(low: int, high: int) -> Callable[[], None]:
             return lambda: wp.launch(
-                bake_environment, (high - low) * width, [scene, width, height, low * width, POINTS], [importance],
-                device=device)
+                bake_environment, (high - low) * width, [scene, width, height, low * width, POINTS],
+                [importance, radiance], device=device)
 
         run_bands(bake(low, high) for low, high in zip(rows[:-1], rows[1:], strict=True) if high > low)
     values = importance.numpy().astype(np.float64)
@@ -82,3 +88,11 @@ def build_environment(
     environment.alias = wp.array(alias, dtype=int, device=device)
     environment.weight = wp.array(weights.astype(np.float32), dtype=float, device=device)
     assemble(environment, float(integral))
+    return radiance if _is_same_for_all(world.program) else wp.zeros(1, dtype=wp.vec3, device=device)
+
+
+def _is_same_for_all(program: Program) -> bool:
+    """Return whether a world's program depends on nothing but the direction."""
+    inputs = {head >> 16 & 255 for head, *_ in program.surface if head & 255 == node_codes.OP_INPUT}
+    of_ray = {node_codes.INPUT_RAY_KIND, node_codes.INPUT_RAY_LENGTH, node_codes.INPUT_RAY_DEPTH}
+    return not program.uses_camera and not inputs & {int(each) for each in of_ray}

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from .device import record, run_bands, thread_count
-from .work_list import LISTED_THREADS, ONCE, WorkList
+from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList
 
 __all__ = ["FrameGraph"]
 
@@ -26,6 +26,10 @@ BANDS_PER_THREAD = 4
 
 BAND_MINIMUM = 256
 """Elements below which a further band costs more than it gains."""
+
+
+LISTS = 64
+"""Counters of lists that are set to zero at once"""
 
 
 @dataclass
@@ -61,6 +65,8 @@ class FrameGraph:
         self.skipped: dict[str, str] = {}
         """Sections that this frame does not need, with the reason"""
         self._steps: list[_Step] = []
+        self._counts: wp.array | None = None
+        self._lists = 0
         self._section = ""
         self._graph: wp.Graph | None = None
 
@@ -96,20 +102,31 @@ class FrameGraph:
         self._steps.append(step)
 
     def fill_list(self, kernel: wp.Kernel, count: int, inputs: list, work: WorkList) -> None:
-        """Record a kernel that puts those of `count` elements into an empty list that need work; CUDA only."""
+        """Record a kernel that puts those of `count` elements into an empty list that need work; CUDA only.
+
+        The list gets a counter of its own for this use: one step at the frame's start sets all of them to zero.
+        """
         if self.cuda:
-            self.clear(work.count)
+            place = self._lists % LISTS
+            if place == 0:
+                self._counts = wp.zeros(LISTS, dtype=int, device=self.device)
+                self._steps.insert(0, _Step(self._section, action=self._counts.zero_))
+            self._lists += 1
+            work.count = self._counts[place : place + 1]
             self.launch(kernel, count, inputs, [work.queue, work.count], banded=False)
 
-    def launch_listed(self, kernel: wp.Kernel, inputs: list, work: WorkList, outputs: list) -> None:
+    def launch_listed(
+        self, kernel: wp.Kernel, inputs: list, work: WorkList, outputs: list, *, few: bool = False,
+    ) -> None:
         """Record a kernel over the elements of a list, whose number only the device knows.
 
         Its last inputs are the number of threads, the number of elements and the list; thread i takes elements i,
         i + threads, ... It must leave elements alone that need no work: on the processor all are in the list.
+        `few`: most of the list's room is empty as a rule.
         """
         if self.cuda:
-            self.launch(
-                kernel, LISTED_THREADS, [*inputs, LISTED_THREADS, work.count, work.queue], outputs, banded=False)
+            threads = min(len(work.queue), FEW_THREADS if few else LISTED_THREADS)
+            self.launch(kernel, threads, [*inputs, threads, work.count, work.queue], outputs, banded=False)
         else:
             self.launch_queued(kernel, [*inputs, ONCE, work.count], work.queue, outputs)
 

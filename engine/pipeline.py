@@ -13,7 +13,7 @@ import warp as wp
 
 from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
-from ..kernels.reflection_types import LOBE_REFLECTION, LOBE_TRANSMISSION
+from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
 from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_graph import FrameGraph
@@ -26,6 +26,7 @@ from .passes.gbuffer import GBufferPass
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.reflection_denoise import ReflectionDenoisePass
 from .passes.reflections import RayScene, ReflectionPass
+from .passes.rest_gather import RestGatherPass
 from .passes.screen_probes import ScreenProbePass
 from .settings import RenderSettings
 from .view_data import ViewTracker
@@ -46,7 +47,7 @@ class Pipeline:
         """Sections that the scene does not need, with the reason"""
         self.passes: tuple = ()
         self._settings: RenderSettings | None = None
-        self._graphs: dict[int, tuple[FrameGraph, wp.array]] = {}
+        self._graphs: dict[tuple[int, bool], tuple[FrameGraph, wp.array]] = {}
         self._recorded_for = b""
         self._picture: wp.array | None = None
         self._split_for = None
@@ -62,13 +63,15 @@ class Pipeline:
         self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
         self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
         self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
+        self.gather = ReflectionPass(device, settings.reflections, int(LOBE_DIFFUSE))
+        self.rest_gather = RestGatherPass(device)
         self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))
         self.refraction_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_TRANSMISSION))
         self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
-                       self.reflections, self.refraction, self.composite)
+                       self.reflections, self.refraction, self.gather, self.rest_gather, self.composite)
         for each in self.passes:
             each.resize(width, height)
         filters = (self.reflection_denoise, self.refraction_denoise)
@@ -103,13 +106,14 @@ class Pipeline:
         """
         motion = self.motion.advance(scene)
         self._update_split(scene)
-        key = self._fingerprint(scene, motion)
-        if key != self._recorded_for:
-            self._graphs, self._recorded_for = {}, key
-        parity = views.parity
-        if parity not in self._graphs:
-            self._graphs[parity] = self._record(parity, scene, views.array, motion)
-        graph, self._picture = self._graphs[parity]
+        recorded_for = self._fingerprint(scene, motion)
+        if recorded_for != self._recorded_for:
+            self._graphs, self._recorded_for = {}, recorded_for
+        # What only frames at rest need costs the others nothing: they are records of their own.
+        key = views.parity, self._settings.denoiser.rest_gather and views.rest > 0
+        if key not in self._graphs:
+            self._graphs[key] = self._record(*key, scene, views.array, motion)
+        graph, self._picture = self._graphs[key]
         graph.replay(timed)
         self.times, self.skipped = graph.times or self.times, graph.skipped
         self.kernel_times = graph.kernel_times
@@ -129,7 +133,7 @@ class Pipeline:
         counts = {"primary rays": pixels, "direct shadow rays": pixels}
         counts |= {f"probes {name}": value for name, value in self.probes.stats().items()}
         counts |= {f"cache {name}": value for name, value in self.cache.stats().items()}
-        return counts | self.reflections.stats() | self.refraction.stats()
+        return counts | self.reflections.stats() | self.refraction.stats() | self.gather.stats()
 
     def _update_split(self, scene: DeviceScene) -> None:
         """Split the world's light anew where the world has changed."""
@@ -139,8 +143,9 @@ class Pipeline:
 
     def _fingerprint(self, scene: DeviceScene, motion: Motion) -> bytes:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
-        facts = (scene.structures.has_filtered, scene.has_light_programs, scene.emitters.textured, scene.local_power,
-                 scene.radius, self.split.share, scene.material_table.lean, scene.material_table.reflectors)
+        facts = (scene.structures.has_filtered, scene.has_hit_programs, scene.world_texels.ptr,
+                 scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
+                 scene.material_table.lean, scene.material_table.reflectors)
         structs = (scene.scene, motion, self.split)
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
 
@@ -159,11 +164,11 @@ class Pipeline:
         return needed
 
     def _record(
-        self, parity: int, scene: DeviceScene, views: wp.array, motion: Motion,
+        self, parity: int, resting: bool, scene: DeviceScene, views: wp.array, motion: Motion,
     ) -> tuple[FrameGraph, wp.array]:
-        """Record a frame: the method in its order."""
+        """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
         graph, kernels_scene = FrameGraph(self.device), scene.scene
-        filtered, programs = scene.structures.has_filtered, scene.has_light_programs
+        filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         lean = scene.material_table.lean
         surfaces = self.gbuffer.record(
             graph, parity, kernels_scene, views, motion, filtered=filtered, all_lean=lean.surface,
@@ -173,14 +178,16 @@ class Pipeline:
         smallest = smallest_cell(self._settings.cache, scene.radius)
         color = self.composite.color.previous(parity)
         traced = self._reflecting(graph, scene)
+        gathering = [self.gather] if resting else []
         what = RayScene(
-            kernels_scene, self.split, motion, filtered, programs, lean.surface, lean.transparency,
+            kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.surface, lean.transparency,
             scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS)
-        for each in traced:
+        for each in traced + gathering:
             each.record_rays(graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest))
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
-            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency)
+            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency,
+            world=scene.world_texels)
         indirect = self.probes.record_light(
             graph, parity, kernels_scene, views, surfaces, color, reprojection)
         filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
@@ -198,11 +205,17 @@ class Pipeline:
             direct = self.direct_denoise.record(graph, parity, views, surfaces, before, reprojection, direct)
         with graph.section("Diffuse denoising"):
             indirect = self.diffuse_denoise.record(graph, parity, views, surfaces, before, reprojection, indirect)
+        gathered = None
+        for each in gathering:
+            samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
+            with graph.section(f"{each.title} denoising"):
+                gathered = self.rest_gather.record(
+                    graph, parity, views, surfaces, before, reprojection, each.options, samples, indirect)
         with graph.section("Composite"):
             picture = self.composite.record(
                 graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
-                self.reflections.options)
+                self.reflections.options, gathered)
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

@@ -281,7 +281,7 @@ class ReflectionSettings:
     """Glossy reflections and refraction: how each roughness is found (Eto et al. 2023, section 2)."""
 
     roughness_traced: float = setting(
-        0.2, "Roughness up to which reflections are traced with rays; the paper's r_rt. Rougher ones are looked up in "
+        0.5, "Roughness up to which reflections are traced with rays; the paper's r_rt. Rougher ones are looked up in "
         "the probes: higher is sharper and more exact, for more rays", low=0.0, high=1.0)
     roughness_diffuse: float = setting(
         0.6, "Roughness from which diffuse light stands in for reflections; the paper's r_diffuse. Lower saves time "
@@ -292,7 +292,7 @@ class ReflectionSettings:
         ReflectionResolution.HALF, "Pixels that share a ray in each frame, in turns: fewer are sharper in motion and "
         "cost rays")
     bounces: int = setting(
-        6, "Mirrors and panes of glass that a ray follows before the radiance cache answers: each shows mirrors in "
+        4, "Mirrors and panes of glass that a ray follows before the radiance cache answers: each shows mirrors in "
         "mirrors one deeper, and costs time only where there are some", low=0, high=32, soft_high=16)
     screen_reuse: bool = setting(
         True, "Take what the picture before shows at a ray's hit, where it shows it: less noise and fewer shadow rays, "
@@ -348,6 +348,8 @@ class DenoiserSettings:
         "and reflections earlier", low=0, high=1 << 20, unit="frames")
     path_traced_rest: bool = setting(
         True, "Go over to path tracing at rest, so that the picture becomes exact. Off: the filtered picture stays")
+    rest_gather: bool = setting(
+        True, "Gather indirect light for each pixel at rest: exact contacts and corners, for rays at rest alone")
     final_denoise: bool = setting(
         False, "Run Open Image Denoise of Blender over the combined pass of final renders: smooth pictures from few "
         "samples for a second or so, and a loss of fine texture")

@@ -20,7 +20,7 @@ from .device import start_warp
 
 __all__ = ["TABLES_VERSION", "albedo_tables", "compute_tables", "load_tables"]
 
-TABLES_VERSION = 2
+TABLES_VERSION = 3
 """Raise it whenever the tables' meaning or values change."""
 
 NODE_SAMPLES = 4096
@@ -33,6 +33,7 @@ SHAPES = {
     "glass_e": (N, N, N), "glass_e_avg": (N, N),
     "glass_inv_e": (N, N, N), "glass_inv_e_avg": (N, N),
     "schlick_ior_s": (N, N, N), "schlick_s": (N, N),
+    "dielectric_c": (N, N, N), "schlick_c": (N, N),
 }
 """Names and shapes of the fields of kernels.types.Tables"""
 
@@ -48,7 +49,7 @@ def compute_tables(threads: int | None = None) -> dict[str, np.ndarray]:
     """
     arrays = {name: wp.zeros(shape, dtype=float, device="cpu") for name, shape in SHAPES.items()}
     wp.load_module(kernels, device="cpu")
-    glass = [arrays["glass_e"], arrays["glass_inv_e"], arrays["schlick_ior_s"]]
+    glass = [arrays["glass_e"], arrays["glass_inv_e"], arrays["schlick_ior_s"], arrays["dielectric_c"]]
     averages = [arrays["glass_e_avg"], arrays["glass_inv_e_avg"]]
     # Slabs of one table are disjoint, and a launch on the CPU lets other threads run.
     launches = [(kernels.integrate_glass, (1, N, N), [i, NODE_SAMPLES], glass) for i in range(N)]
@@ -56,7 +57,7 @@ def compute_tables(threads: int | None = None) -> dict[str, np.ndarray]:
         (kernels.integrate_glass_average, (N, N), [AVERAGE_SAMPLES], averages),
         (kernels.integrate_ggx, (G, G), [0, NODE_SAMPLES], [arrays["ggx_e"]]),
         (kernels.integrate_ggx_average, (G,), [AVERAGE_SAMPLES], [arrays["ggx_e_avg"]]),
-        (kernels.integrate_schlick, (N, N), [NODE_SAMPLES], [arrays["schlick_s"]]),
+        (kernels.integrate_schlick, (N, N), [NODE_SAMPLES], [arrays["schlick_s"], arrays["schlick_c"]]),
     ]
 
     def run(launch: tuple) -> None:

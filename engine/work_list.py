@@ -12,10 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-__all__ = ["LISTED_THREADS", "ONCE", "WorkList", "make_work_list"]
+__all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "make_work_list"]
 
-LISTED_THREADS = 1 << 16
-"""Threads that share a list's elements: about what a large GPU has at work at a time"""
+LISTED_THREADS = 1 << 18
+"""Most threads that share a list's elements: some times what a large GPU has at work at a time, so that blocks that
+end early make room for others; those without an element cost some microseconds"""
+
+FEW_THREADS = 1 << 16
+"""The same for lists that are mostly short"""
 
 ONCE = 1 << 30
 """Number of threads to tell where each has one element"""

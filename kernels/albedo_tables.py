@@ -8,6 +8,10 @@ error of interpolating between these very nodes: finer tables would differ from 
 
 Every node is a mean over visible normals weighted G2/G1, which has little variance; half the azimuths suffice since
 the view lies in the xz plane.
+
+Cycles shares light among layers by weights between F0 and F90 that leave shadowed microfacets in; what a lobe reflects
+in the end is less by up to an eighth. The real-time integrator needs that exactly: as the cosine at which a smooth
+surface reflects as much, which is smoother than the albedo and so loses little between nodes.
 """
 
 from __future__ import annotations
@@ -27,6 +31,9 @@ GLASS_NODES = wp.constant(16)
 """Per axis of the other tables"""
 SMOOTH_ETA = wp.constant(1.0e-4)
 """An index this close to 1 bends nothing: the transmission is a straight line (Cycles, bsdf_microfacet_sample)."""
+
+LEAST_INDEX = wp.constant(1.002)
+"""From which on dielectric_c is exact"""
 
 # Steps of the additive recurrence R2: the first two powers of the inverse plastic number, times 2**32.
 R2_X = wp.constant(wp.uint32(3242174889))
@@ -107,6 +114,22 @@ def glass_sample(wo: wp.vec3, alpha: float, eta: float, u: wp.vec2) -> float:
     return total
 
 
+@wp.func
+def dielectric_cosine(weight: float, eta: float, f0: float) -> float:
+    """Return the cosine at which a smooth dielectric has a weight between F0 and F90, which falls with it."""
+    low = float(0.0)
+    high = float(1.0)
+    step = int(0)
+    while step < 24:
+        middle = 0.5 * (low + high)
+        if schlick_weight(fresnel_dielectric(middle, eta)[0], f0) > weight:
+            low = middle
+        else:
+            high = middle
+        step = step + 1
+    return 0.5 * (low + high)
+
+
 @wp.kernel
 def integrate_ggx(
     # In:
@@ -146,8 +169,9 @@ def integrate_glass(
     first: int, samples: int,
     # Out:
     glass_out: wp.array3d[float], glass_inv_out: wp.array3d[float], schlick_ior_out: wp.array3d[float],
+    cosine_out: wp.array3d[float],
 ):
-    """Fill slab first + i of the three tables [ior, cosine, roughness]."""
+    """Fill slab first + i of the four tables [ior, cosine, roughness]."""
     i, j, k = wp.tid()
     eta = node_ior(first + i)
     wo = view_at(node_roughness(j, GLASS_NODES))
@@ -156,16 +180,27 @@ def integrate_glass(
     entering = float(0.0)
     leaving = float(0.0)
     weight = float(0.0)
+    lambda_o = ggx_lambda(wo, alpha, alpha)
+    # An index of 1 reflects nothing; the table holds the limit of what little those next to it do.
+    least = wp.max(eta, LEAST_INDEX)
+    least_f0 = f0_from_ior(least)
+    facing = float(0.0)
+    grazing = float(0.0)
     for s in range(samples):
         u = plane_point(s)
         entering += glass_sample(wo, alpha, eta, u)
         leaving += glass_sample(wo, alpha, 1.0 / eta, u)
         m = visible_normal(wo, alpha, u)
-        if reflect_about(wo, m)[2] > 0.0:
+        reflected = reflect_about(wo, m)
+        if reflected[2] > 0.0:
             weight += schlick_weight(fresnel_dielectric(wp.dot(wo, m), eta)[0], f0)
+            share = kept(lambda_o, reflected, alpha)
+            facing += share
+            grazing += share * schlick_weight(fresnel_dielectric(wp.dot(wo, m), least)[0], least_f0)
     glass_out[first + i, j, k] = wp.clamp(entering / float(samples), 0.0, 1.0)
     glass_inv_out[first + i, j, k] = wp.clamp(leaving / float(samples), 0.0, 1.0)
     schlick_ior_out[first + i, j, k] = wp.clamp(weight / float(samples), 0.0, 1.0)
+    cosine_out[first + i, j, k] = dielectric_cosine(grazing / wp.max(facing, 1.0e-20), least, least_f0)
 
 
 @wp.kernel
@@ -195,22 +230,31 @@ def integrate_schlick(
     # In:
     samples: int,
     # Out:
-    schlick_out: wp.array2d[float],
+    schlick_out: wp.array2d[float], cosine_out: wp.array2d[float],
 ):
-    """Fill schlick_s, [cosine, roughness]: the weight of F90 under Schlick's curve.
+    """Fill schlick_s, [cosine, roughness]: the weight of F90 under Schlick's curve; and schlick_c.
 
-    Cycles looks half way between the exponents 40/7 and 35/8 (nodes 7 and 8 of 15), so theirs is the mean taken.
+    Cycles looks half way between the exponents 40/7 and 35/8 (nodes 7 and 8 of 15), so theirs is the mean taken for the
+    first; the second is exact.
     """
     j, k = wp.tid()
     wo = view_at(node_roughness(j, GLASS_NODES))
     alpha = sqr(node_roughness(k, GLASS_NODES))
     total = float(0.0)
+    lambda_o = ggx_lambda(wo, alpha, alpha)
+    facing = float(0.0)
+    fifth = float(0.0)
     for s in range(samples):
         m = visible_normal(wo, alpha, plane_point(s))
-        if reflect_about(wo, m)[2] > 0.0:
+        reflected = reflect_about(wo, m)
+        if reflected[2] > 0.0:
             grazing = wp.max(1.0 - wp.dot(wo, m), 0.0)
             total += 0.5 * (wp.pow(grazing, 40.0 / 7.0) + wp.pow(grazing, 35.0 / 8.0))
+            share = kept(lambda_o, reflected, alpha)
+            facing += share
+            fifth += share * wp.pow(grazing, 5.0)
     schlick_out[j, k] = wp.clamp(total / float(samples), 0.0, 1.0)
+    cosine_out[j, k] = wp.clamp(1.0 - wp.pow(fifth / wp.max(facing, 1.0e-20), 0.2), 0.0, 1.0)
 
 
 @wp.func
@@ -289,3 +333,20 @@ def dielectric_weight(tables: Tables, cos_o: float, roughness: float, eta: float
 def metal_weight(tables: Tables, cos_o: float, roughness: float) -> float:
     """Return how far from F0 to F90 a rough metal reflects towards this view."""
     return look_up_2d(tables.schlick_s, cos_o, roughness, GLASS_NODES)
+
+
+@wp.func
+def reflected_dielectric_weight(tables: Tables, cos_o: float, roughness: float, eta: float) -> float:
+    """Return how far from F0 to F90 the albedo of a rough dielectric lies, towards this view."""
+    if eta < 1.0:
+        # From inside the curve ends at total reflection, which no cosine outside stands for: exact for mirrors alone.
+        smooth = schlick_weight(fresnel_dielectric(cos_o, eta)[0], f0_from_ior(eta))
+        return wp.lerp(smooth, dielectric_weight(tables, cos_o, roughness, eta), roughness)
+    c = look_up_3d(tables.dielectric_c, ior_coordinate(eta), cos_o, roughness)
+    return schlick_weight(fresnel_dielectric(c, eta)[0], f0_from_ior(eta))
+
+
+@wp.func
+def reflected_cosine(tables: Tables, cos_o: float, roughness: float) -> float:
+    """Return the cosine at which Schlick's curve gives what a rough metal reflects towards this view."""
+    return look_up_2d(tables.schlick_c, cos_o, roughness, GLASS_NODES)

@@ -65,7 +65,7 @@ class CacheControl:
     factors: wp.array[wp.vec3]
     """[2] factor on what cells hold, and on this frame's samples"""
     counters: wp.array[int]
-    """[LANES * COUNTERS] of this frame"""
+    """[LANES * COUNTERS] of count_rays"""
 
 
 @wp.func
@@ -82,7 +82,9 @@ def from_fixed(x: wp.int64) -> float:
 
 @wp.func
 def add_sample(sums: wp.array[wp.int64], first: int, light: wp.vec3):
-    """Add three channels to sums; atomic."""
+    """Add three channels to sums; atomic. Much light is none: its shadow ray was blocked."""
+    if light[0] == 0.0 and light[1] == 0.0 and light[2] == 0.0:
+        return
     wp.atomic_add(sums, first, to_fixed(light[0]))
     wp.atomic_add(sums, first + 1, to_fixed(light[1]))
     wp.atomic_add(sums, first + 2, to_fixed(light[2]))
@@ -137,25 +139,20 @@ def insert_vertices(
     # Out:
     grid_out: HashGrid,
     vertices_out: Vertices,
-    control_out: CacheControl,
 ):
     """Find or make the cells of the hits from slot `offset` on. Black surfaces need none."""
     slot = offset + wp.tid()
     vertices_out.cell[slot] = NO_CELL
     if vertices_out.emission[slot][3] == IDLE:
         return
-    count_one(control_out, slot, COUNT_RAYS)
     r = vertices_out.reflectance[slot]
     if paths.hit[slot][0] == MISS or not wp.max(r[0], wp.max(r[1], r[2])) > 0.0:
         return
     view = views[0]
     p = vertices_out.position[slot]
-    cell = insert_cell(
+    vertices_out.cell[slot] = insert_cell(
         grid_out, view, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
         paths.direction[slot], cell_seed(slot, view.frame))
-    vertices_out.cell[slot] = cell
-    if cell == NO_CELL:
-        count_one(control_out, slot, COUNT_FAILED)
 
 
 @wp.kernel
@@ -171,23 +168,16 @@ def accumulate_light(
 ):
     """Add the samples of direct light at all hits, and those of indirect light at the bounce rays' sources."""
     slot = wp.tid()
-    light = paths.radiance[slot]
-    if light[3] > 0.0:
-        count_one(control_out, slot, COUNT_SHADOWS)
     cell = vertices.cell[slot]
     if cell != NO_CELL:
+        light = paths.radiance[slot]
         add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
         wp.atomic_add(grid_out.counts, 2 * cell, 1)
     if slot < count:
-        if cell != NO_CELL:
-            count_one(control_out, slot, COUNT_HITS)
-            if not grid_out.indirect[cell][3] > 0.0:
-                count_one(control_out, slot, COUNT_UNKNOWN)
         return
     source = vertices.source[slot - count]
     if source == NO_CELL:
         return
-    count_one(control_out, slot, COUNT_BOUNCES)
     grid_out.touched[source] = views[0].frame
     arrived = vertices.arrived[slot - count]
     carried = vertices.carried[slot - count]
@@ -204,6 +194,39 @@ def accumulate_light(
         add_sample(control_out.balance, lane, wp.vec3(held[0], held[1], held[2]))
         add_sample(control_out.balance, lane + 3, arrived)
         add_sample(control_out.balance, lane + 6, carried)
+
+
+@wp.kernel
+def count_rays(
+    # In:
+    paths: Paths,
+    vertices: Vertices,
+    grid: HashGrid,
+    count: int,
+    # Out:
+    control_out: CacheControl,
+):
+    """Count what the last frame has done, for statistics; not a part of frames."""
+    slot = wp.tid()
+    if paths.radiance[slot][3] > 0.0:
+        # A shadow ray was set up, see choose_cache_lights.
+        count_one(control_out, slot, COUNT_SHADOWS)
+    if slot >= count:
+        if vertices.source[slot - count] != NO_CELL:
+            count_one(control_out, slot, COUNT_BOUNCES)
+    if vertices.emission[slot][3] == IDLE:
+        return
+    count_one(control_out, slot, COUNT_RAYS)
+    cell = vertices.cell[slot]
+    if cell != NO_CELL:
+        if slot < count:
+            count_one(control_out, slot, COUNT_HITS)
+            if not grid.indirect[cell][3] > 0.0:
+                count_one(control_out, slot, COUNT_UNKNOWN)
+        return
+    r = vertices.reflectance[slot]
+    if paths.hit[slot][0] != MISS and wp.max(r[0], wp.max(r[1], r[2])) > 0.0:
+        count_one(control_out, slot, COUNT_FAILED)
 
 
 @wp.func

@@ -6,17 +6,33 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, DIMENSION_SURFACE, Vertices, slot_seed
+from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lights import sample_light
 from .packing import unpack_normal
-from .paths import ENDED, Paths, load_hit
+from .paths import ENDED, PENDING_NONE, PENDING_WORLD, Paths, load_hit
 from .reference import set_shadow_ray
 from .sampling import sample_pair
 from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.func
+def settle_world(scene: Scene, world: wp.array[wp.vec3], paths: Paths, slot: int):
+    """Give a shadow ray towards the world the light of its texel, where that is known: no program has to be run.
+
+    The table has chosen the direction for just that light.
+    """
+    if has_texels(world) and paths.shadow_distance[slot] != 0.0 and paths.shadow_pending[slot] == PENDING_WORLD:
+        light = wp.cw_mul(
+            paths.shadow_light[slot], world[texel_of(scene.environment, paths.shadow_direction[slot])])
+        paths.shadow_light[slot] = light
+        paths.shadow_pending[slot] = PENDING_NONE
+        if not max_component(light) > 0.0:
+            paths.shadow_distance[slot] = 0.0
 
 
 @wp.kernel
@@ -25,6 +41,7 @@ def choose_cache_lights(
     # In:
     views: wp.array[View],
     scene: Scene,
+    world: wp.array[wp.vec3],
     vertices: Vertices,
     weighed: int,
     # Out:
@@ -62,6 +79,7 @@ def choose_cache_lights(
         light = light * power_heuristic(s.pdf, density)
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, s, light, paths_out, slot)
+        settle_world(scene, world, paths_out, slot)
         if paths_out.shadow_distance[slot] != 0.0:
-            # Counted by accumulate_light.
+            # For count_rays.
             paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)

@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import DIMENSION_CLOSURE, IDLE, Vertices, slot_seed
+from .cache_rays import DIMENSION_CLOSURE, Vertices, slot_seed
 from .environment_split import NO_THRESHOLD, soft_radiance
 from .geometry_math import is_finite3, mean_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lights import emitter_pdf
 from .nodes import run, world_point
 from .packing import pack_normal
-from .paths import ENDED, Paths, load_hit
+from .paths import Paths, load_hit
 from .principled import prepare_bsdf
 from .probe_rays import MISS_DISTANCE
 from .reflectance import BsdfAlbedo, bsdf_albedo
 from .sampling import sample_pair
-from .types import MATERIAL_FLAT_SHIFT, VISIBLE_DIFFUSE, Closure, Scene, ShadingPoint
+from .types import MATERIAL_FLAT_SHIFT, VISIBLE_DIFFUSE, Scene, ShadingPoint
 from .view import View, eye_position, pixel_footprint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -102,68 +102,59 @@ def store_surface(
     vertices.normal[slot] = pack_normal(normal)
 
 
-@wp.kernel
-def evaluate_cache_materials(
-    first: int,
-    # In:
-    views: wp.array[View],
-    scene: Scene,
-    offset: int,
-    bounce: int,
-    weighed: int,
-    threshold: float,
-    filtered: int,
-    rest: int,
-    paths: Paths,
-    # Out:
-    vertices_out: Vertices,
+@wp.func
+def evaluate_one(
+    scene: Scene, view: View, bounce: int, weighed: int, threshold: float, filtered: int, paths: Paths,
+    vertices: Vertices, slot: int,
 ):
-    """Run the programs of the materials that the rays from slot `offset` on hit, or of the world.
-
-    `bounce` is 1 for bounce rays: the world reaches cells by light sampling, so those that miss bring nothing, unless
-    the world is not sampled. `weighed` 1: they share the emission of emitters with light sampling. `rest` 1: only what
-    evaluate_cache_lean has left.
-    """
-    slot = offset + first + wp.tid()
-    if rest == 1:
-        if vertices_out.emission[slot][3] != LEFT:
-            return
-    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    vertices_out.reflectance[slot] = zero
-    if paths.state[slot] == ENDED:
-        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, IDLE)
-        return
-    direction = paths.direction[slot]
+    """Run the program of the material that a ray hits, or of the world."""
+    vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     weight = wp.vec3(1.0, 1.0, 1.0)
     if filtered == 1:
         weight = paths.throughput[slot]
     missed = paths.hit[slot][0] == MISS
-    limit = float(threshold)
-    point = world_point(direction, VISIBLE_DIFFUSE, 1, 0.0)
+    point = world_point(paths.direction[slot], VISIBLE_DIFFUSE, 1, 0.0)
     start = scene.materials.world_start
-    if missed:
-        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
-        if (scene.environment.visibility & VISIBLE_DIFFUSE) == 0:
-            return
-        if bounce == 1:
-            if scene.lights.environment_class >= 0:
-                return
-            limit = NO_THRESHOLD
-    else:
-        view = views[0]
+    if not missed:
         point = hit_point(view, scene, paths, slot, bounce)
         start = flat_start(scene, point)
-    closure = Closure()
-    if missed and scene.environment.constant == 1:
-        closure.emission = scene.environment.radiance
-    else:
-        u = sample_pair(slot_seed(slot), wp.uint32(views[0].frame), DIMENSION_CLOSURE)
-        closure = run(scene, point, start, u[0])
+    u = sample_pair(slot_seed(slot), wp.uint32(view.frame), DIMENSION_CLOSURE)
+    closure = run(scene, point, start, u[0])
     if missed:
+        limit = wp.where(bounce == 1, NO_THRESHOLD, threshold)
         light = sane(wp.cw_mul(soft_radiance(sane(closure.emission), limit, scene.luminance), weight))
-        vertices_out.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
+        vertices.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
         return
     share = emission_weight(scene, point, paths, slot, bounce == 1 and weighed == 1)
     bsdf = prepare_bsdf(scene.tables, closure, point)
     albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
-    store_surface(point, albedo, bsdf.normal, bsdf.emission, weight, share, vertices_out, slot)
+    store_surface(point, albedo, bsdf.normal, bsdf.emission, weight, share, vertices, slot)
+
+
+@wp.kernel
+def evaluate_cache_materials(
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    bounce: int,
+    weighed: int,
+    threshold: float,
+    filtered: int,
+    paths: Paths,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    vertices_out: Vertices,
+):
+    """Run the programs of what listed rays meet, as far as evaluate_cache_lean has left them.
+
+    `bounce` is 1 for bounce rays: the world reaches cells by light sampling, so those that miss bring nothing, unless
+    the world is not sampled. `weighed` 1: they share the emission of emitters with light sampling.
+    """
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        if vertices_out.emission[slot][3] == LEFT:
+            evaluate_one(scene, views[0], bounce, weighed, threshold, filtered, paths, vertices_out, slot)
+        i = i + stride

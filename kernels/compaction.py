@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_materials import LEFT
 from .intersect import MISS
-from .paths import ENDED, Paths
+from .paths import ENDED, PENDING_NONE, Paths
 from .pixel_order import pixel_in_blocks
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -57,6 +58,35 @@ def append_layered_shadows(
     path = wp.tid()
     if paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS:
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_pending_shadows(
+    # In:
+    paths: Paths,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the shadow rays that got through to a light whose radiance is a program."""
+    path = wp.tid()
+    if paths.shadow_distance[path] != 0.0 and paths.shadow_pending[path] != PENDING_NONE:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_left_hits(
+    # In:
+    emission: wp.array[wp.vec4],
+    offset: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the cache's rays, from slot `offset` on, that evaluate_cache_lean has left (Vertices.emission)."""
+    slot = offset + wp.tid()
+    if emission[slot][3] == LEFT:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = slot
 
 
 @wp.kernel

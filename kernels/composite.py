@@ -12,7 +12,7 @@ from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
 from .view import SKY_DEPTH, View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 # Which lobe a light pass tells of.
@@ -38,6 +38,9 @@ class Lights:
     has_reflection: int
     """0: `reflection` is not there, and the irradiance stands in for it"""
     has_transmission: int
+    indirect: wp.array[wp.uint64]
+    """pack_mean of diffuse indirect light as pixels have gathered it at rest, instead of `irradiance`"""
+    has_indirect: int
     options: ReflectionOptions
     """Of `reflection`: which surfaces have it"""
 
@@ -101,6 +104,14 @@ def seen_share(gbuffer: GBuffer, pixel: int) -> float:
 
 
 @wp.func
+def indirect_light(gbuffer: GBuffer, lights: Lights, pixel: int) -> wp.vec3:
+    """Return a surface's diffuse indirect light: irradiance / pi."""
+    if lights.has_indirect == 1:
+        return unpack_mean(lights.indirect[pixel])
+    return light_or_none(lights.irradiance[pixel]) * seen_share(gbuffer, pixel)
+
+
+@wp.func
 def reflected_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pixel: int) -> wp.vec3:
     """Return the indirect light that a surface reflects, without its colour.
 
@@ -154,7 +165,7 @@ def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
     s.transmitted = none
     if gbuffer.depth[pixel] < SKY_DEPTH:
         m = load_material(gbuffer, pixel)
-        indirect = light_or_none(lights.irradiance[pixel]) * seen_share(gbuffer, pixel)
+        indirect = indirect_light(gbuffer, lights, pixel)
         s.diffuse_albedo = m.diffuse + m.translucent
         s.specular_albedo = m.specular
         s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(lights.direct_diffuse[pixel]))

@@ -33,7 +33,7 @@ from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Dimensions of the pixel's sequences, apart from those of the reference and the G-buffer.
 DIMENSION_PICK = wp.constant(64)
@@ -136,7 +136,7 @@ def store_reservoir(reservoirs: Reservoirs, pixel: int, r: Reservoir):
     reservoirs.weight[pixel] = wp.vec2(r.weight, r.count)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=96)
 def resample_lights(
     # In:
     first: int,

@@ -34,7 +34,7 @@ from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
 from .view import View, pixel_footprint
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Cosine between the normals of neighbours that may lend each other their samples.
 NEIGHBOUR_COSINE = wp.constant(0.9)

@@ -81,7 +81,7 @@ def start_factor(scene: Scene, emitter: int, s: LightSample, slot: int, rays: Pa
     rays.shadow_light[slot] = wp.vec3(light, light, light)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=96)
 def aim_shadow_rays(
     # In:
     first: int,

@@ -23,8 +23,9 @@ def bake_environment(
     points: int,
     # Out:
     importance_out: wp.array[float],
+    radiance_out: wp.array[wp.vec3],
 ):
-    """Fill the sampling table's texels with their largest radiance channel times solid angle.
+    """Fill the sampling table's texels with their largest radiance channel times solid angle, and with their radiance.
 
     `points` (4) a texel, so that a sun between two centres is not missed.
     """
@@ -33,6 +34,7 @@ def bake_environment(
     j = texel // width
     footprint = PI / float(height)
     total = float(0.0)
+    mean = wp.vec3(0.0, 0.0, 0.0)
     # Not a literal: Warp would unroll the loop and build the node machine four times.
     for k in range(points):
         dx = 0.25 + 0.5 * float(k % 2)
@@ -42,5 +44,7 @@ def bake_environment(
         value = max_component(radiance)
         if wp.isfinite(value) and value > 0.0:
             total += value
+            mean += wp.max(radiance, wp.vec3(0.0, 0.0, 0.0)) / float(points)
     theta = PI * (float(j) + 0.5) / float(height)
+    radiance_out[texel] = mean
     importance_out[texel] = total * wp.sin(theta) / float(points)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The world as a light: directions drawn from a table over an equirectangular grid, with their pdf.
 
-The radiance itself always comes from the world's program; the table only guides. Row 0 is the top (+z).
+The radiance itself comes from the world's program and the table only guides, but for rays that see the world blurred
+anyway: those of the cache and of rough reflections take a texel's mean. Row 0 is the top (+z).
 """
 
 from __future__ import annotations
@@ -22,19 +23,31 @@ def equirect_direction(x: float, y: float) -> wp.vec3:
 
 
 @wp.func
-def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
-    """Return the pdf [1/sr] with which sample_environment draws `direction`."""
-    if environment.width == 0:
-        return 1.0 / (4.0 * PI)
+def texel_of(environment: Environment, direction: wp.vec3) -> int:
+    """Return the texel of a table that has some in which a direction lies."""
     x = wp.atan2(direction[1], direction[0]) / TWO_PI
     if x < 0.0:
         x = x + 1.0
     y = wp.acos(wp.clamp(direction[2], -1.0, 1.0)) / PI
     i = wp.clamp(int(x * float(environment.width)), 0, environment.width - 1)
     j = wp.clamp(int(y * float(environment.height)), 0, environment.height - 1)
+    return j * environment.width + i
+
+
+@wp.func
+def has_texels(world: wp.array[wp.vec3]) -> bool:
+    """Return whether the world's radiance is known by texels (DeviceScene.world_texels)."""
+    return world.shape[0] > 1
+
+
+@wp.func
+def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
+    """Return the pdf [1/sr] with which sample_environment draws `direction`."""
+    if environment.width == 0:
+        return 1.0 / (4.0 * PI)
     texels = float(environment.width * environment.height)
     sin_theta = wp.max(safe_sqrt(1.0 - direction[2] * direction[2]), 1.0e-6)
-    return environment.weight[j * environment.width + i] * texels / (TWO_PI * PI * sin_theta)
+    return environment.weight[texel_of(environment, direction)] * texels / (TWO_PI * PI * sin_theta)
 
 
 @wp.func

@@ -114,6 +114,31 @@ def trace_flat_rays(
 
 
 @wp.kernel(cuda_max_registers=64)
+def trace_flat_further(
+    # In:
+    scene: Scene,
+    filtered: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find what the further segments of listed rays meet; see reflection_trace.trace_further."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        if paths_out.state[slot] != ENDED:
+            store_hit(paths_out, slot, closest_flat(
+                scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
+            if filtered == 1:
+                # Read anew: registers are scarcer than loads.
+                store_layer(paths_out, slot, closest_flat_layer(
+                    scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
+        i = i + stride
+
+
+@wp.kernel(cuda_max_registers=64)
 def trace_flat_layers(
     # In:
     first: int,

@@ -77,6 +77,8 @@ class HashGrid:
     """0: searches end at the first hole, as published"""
     directions: int
     """1: key by the ray's direction instead of the normal's face, as published"""
+    weighed: int
+    """1: bounce rays bring `indirect` a share of what triangles emit, samples of lights bring `direct` the rest"""
 
 
 @wp.func

@@ -18,7 +18,7 @@ from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
 from .sampling import hash32, hash_combine
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Standard deviations from which on, and over which, a departure from the history counts as a change.
 CHANGE_START = wp.constant(3.0)

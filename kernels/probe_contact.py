@@ -22,7 +22,7 @@ from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
 from .sampling import hash_combine, hashed_unit
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Directions on the screen, and pixels visited along each.
 SIDES = wp.constant(4)

@@ -20,7 +20,7 @@ from .probe_spawn import probe_cell, separated
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Cosine between the direction asked for and that of the point found: a cell is 18 degrees wide.
 REAIM_COSINE = wp.constant(0.95)

@@ -19,7 +19,7 @@ from .probe_spawn import probe_cell
 from .probe_types import BANDS, CELLS, FAR, NO_CELL, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Cosine between a direction and that in which a neighbour's point is seen: three times the published 0.02 pi, which
 # few neighbours of near surfaces meet.

@@ -22,7 +22,7 @@ from .probe_types import CELLS, NO_CELL, TILE, ProbeGrid, ProbePool, ProbeUpdate
 from .sampling import hash_combine, hashed_unit, sample_pair
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Rays that are spread evenly when the others are guided.
 EVEN = wp.constant(32)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .albedo_tables import dielectric_weight, ggx_albedo, glass_albedo, metal_weight
+from .albedo_tables import ggx_albedo, glass_albedo, reflected_cosine, reflected_dielectric_weight
 from .diffuse import oren_nayar_g
 from .fresnel import f0_from_ior, fresnel_dielectric, mix3
 from .gbuffer import GRAZING_MAX, SurfaceMaterial
@@ -61,13 +61,18 @@ def diffuse_factor(bsdf: Bsdf, n_dot_o: float) -> wp.vec3:
 
 
 @wp.func
-def f82_dip(b: wp.vec3, weight: float, roughness: float) -> wp.vec3:
-    """Return what a metal's edge tint takes from the reflectance, at the cosine that Schlick's `weight` belongs to.
+def fifth_power(x: float) -> float:
+    """Return x^5."""
+    return sqr(sqr(x)) * x
+
+
+@wp.func
+def f82_dip(b: wp.vec3, c: float, roughness: float) -> wp.vec3:
+    """Return what a metal's edge tint takes from the reflectance, at the cosine that stands for a rough surface.
 
     Rough surfaces spread over cosines on both sides of the dip's deepest place; measured by integration.
     """
     spread = 1.0 - 0.45 * wp.min(roughness, 0.6)
-    c = 1.0 - wp.pow(wp.clamp(weight, 1.0e-12, 1.0), 0.2)
     m = 1.0 - c
     return b * (spread * c * sqr(sqr(m)) * sqr(m))
 
@@ -100,15 +105,16 @@ def add_base(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) -> Bs
         reflectance = one
         f0 = one
         if bsdf.metal_constant == 0:
-            weight = metal_weight(tables, cos_o, roughness)
+            c = reflected_cosine(tables, cos_o, roughness)
             f0 = bsdf.metal_f0
-            dip = f82_dip(bsdf.metal_b, weight, roughness)
-            reflectance = wp.max(mix3(f0, one, weight) - dip, wp.vec3(0.0, 0.0, 0.0))
+            dip = f82_dip(bsdf.metal_b, c, roughness)
+            reflectance = wp.max(mix3(f0, one, fifth_power(1.0 - c)) - dip, wp.vec3(0.0, 0.0, 0.0))
         sums = add_lobe(
             sums, wp.cw_mul(bsdf.metal, reflectance) * energy, wp.cw_mul(bsdf.metal, f0), bsdf.metal, roughness)
     if wp.length_sq(bsdf.dielectric) > 0.0:
         reflectance = mix3(
-            bsdf.dielectric_f0, one, dielectric_weight(tables, cos_o, roughness, bsdf.dielectric_ior))
+            bsdf.dielectric_f0, one,
+            reflected_dielectric_weight(tables, cos_o, roughness, bsdf.dielectric_ior))
         sums = add_lobe(
             sums, wp.cw_mul(bsdf.dielectric, reflectance) * energy, wp.cw_mul(bsdf.dielectric, bsdf.dielectric_f0),
             bsdf.dielectric, roughness)
@@ -131,7 +137,11 @@ def add_glass_lobe(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo)
     # The table of weights is that of entering; from inside the reflectance at the mean facet has to do.
     reflectance = fresnel_dielectric(cos_o, bsdf.glass_ior)[0] * one
     if bsdf.glass_ior > 1.0:
-        reflectance = mix3(bsdf.glass_f0, one, dielectric_weight(tables, cos_o, roughness, bsdf.glass_ior))
+        reflectance = mix3(
+            bsdf.glass_f0, one, reflected_dielectric_weight(tables, cos_o, roughness, bsdf.glass_ior))
+        # Of both halves together; what refraction keeps of its own is more.
+        reflectance = reflectance * (
+            ggx_albedo(tables, cos_o, roughness)[0] / wp.max(energy, 1.0e-4))
     if bsdf.glass_kind == GLASS_REFRACTION:
         sums.transmitted = sums.transmitted + wp.cw_mul(bsdf.glass, one - reflectance) * energy
         if bsdf.glass_ior > 1.0:
@@ -155,7 +165,7 @@ def add_coat_lobe(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) 
     sums = result
     roughness = wp.sqrt(bsdf.coat_alpha)
     f0 = f0_from_ior(bsdf.coat_ior)
-    reflectance = wp.lerp(f0, 1.0, dielectric_weight(tables, cos_o, roughness, bsdf.coat_ior))
+    reflectance = wp.lerp(f0, 1.0, reflected_dielectric_weight(tables, cos_o, roughness, bsdf.coat_ior))
     albedo = bsdf.coat * (ggx_albedo(tables, cos_o, roughness)[0] * reflectance)
     share = mean_component(albedo)
     alone = mean_component(sums.reflected) < BASE_SHARE_MIN * share
@@ -201,25 +211,12 @@ def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
 
 
 @wp.func
-def schlick_share(tables: Tables, cos_o: float, roughness: float) -> float:
-    """Return how far from f0 to f90 a lobe of Schlick's exponent 5 reflects towards this view.
-
-    The table's mean of two exponents is higher (integrate_schlick), and it counts shadowed facets: for rough lobes an
-    eighth too many. What is left errs by up to 2 % of a dielectric's albedo for views up to 84 degrees aslant.
-    """
-    cosine = wp.max(cos_o, 0.0)
-    weight = wp.clamp(metal_weight(tables, cosine, roughness), 1.0e-9, 1.0)
-    exponents = 0.5 * (wp.pow(weight, 1.0 / 7.0) + wp.pow(weight, -1.0 / 8.0))
-    shadowed = wp.max(1.0 - sqr((roughness - 0.69) / 0.36), 0.0) * cosine / (cosine + 0.03)
-    return weight / exponents * (1.0 - 0.125 * shadowed)
-
-
-@wp.func
 def fit_lobe(tables: Tables, albedo: BsdfAlbedo, cos_o: float, material: SurfaceMaterial) -> SurfaceMaterial:
     """Return the material with the `f0` and `f90` whose GGX lobe of `material.roughness` has the albedo `reflected`.
 
-    A lobe's albedo is E (f0 (1 - s) + f90 s) with the tables' E and s. f90 is scaled by what the sums of all lobes
-    miss; as stored it has 8 bits, so the channels' f0 takes up what is left, where it has an influence at all.
+    A lobe's albedo is E (f0 (1 - s) + f90 s), with the tables' E and the s of Schlick's curve. f90 is scaled by what
+    the sums of all lobes miss; as stored it has 8 bits, so the channels' f0 takes up what is left, where it has an
+    influence at all.
 
     Args:
         tables: Albedos.
@@ -229,7 +226,7 @@ def fit_lobe(tables: Tables, albedo: BsdfAlbedo, cos_o: float, material: Surface
     """
     result = material
     energy = ggx_albedo(tables, cos_o, material.roughness)[0]
-    share = schlick_share(tables, cos_o, material.roughness)
+    share = fifth_power(1.0 - reflected_cosine(tables, wp.max(cos_o, 0.0), material.roughness))
     guess = energy * (mean_component(albedo.f0) * (1.0 - share) + albedo.f90 * share)
     scale = wp.where(guess > 0.0, mean_component(albedo.reflected) / wp.max(guess, 1.0e-20), 0.0)
     f90 = wp.clamp(albedo.f90 * wp.min(scale, 16.0), 0.0, 2.0 * GRAZING_MAX)

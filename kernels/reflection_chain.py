@@ -26,6 +26,7 @@ from .reflection_rays import (
     FOUND_HIT,
     FOUND_WHOLE_HIT,
     FOUND_WORLD,
+    GATHERED,
     ReflectionRays,
     first_density,
     gather,
@@ -39,8 +40,16 @@ from .types import VISIBLE_GLOSSY, Scene, ShadingPoint
 # Lobes sharper than this send rays on; rougher ones show their surroundings too blurred to tell.
 MIRROR_ROUGHNESS = wp.constant(0.3)
 
-# Least share of a surface's albedo for which a ray goes on.
-MIRROR_SHARE_MIN = wp.constant(0.05)
+# Least share of a surface's albedo for which a ray goes on: from the first hit, and from later ones or after a lobe so
+# wide (density [1/sr]) that it hides what weak mirrors show. A weaker mirror counts as rough: its light is kept.
+SHARE_MIN_FIRST = wp.constant(0.08)
+SHARE_MIN_FURTHER = wp.constant(0.25)
+SHARE_MIN_WIDE = wp.constant(0.5)
+"""After a lobe of a density below WIDE_DENSITY: panes of glass and real mirrors alone"""
+WIDE_DENSITY = wp.constant(10.0)
+
+# Least part of the pixel's light for which a ray goes on.
+PART_MIN = wp.constant(0.03)
 
 BRANCH_END = wp.constant(0)
 BRANCH_MIRROR = wp.constant(1)
@@ -72,6 +81,9 @@ def miss_light(
         share = world_ray_share(split, first_density(reflection, paths, slot), direction)
         light = soft_radiance(world, split.threshold, scene.luminance)
         light = light + excess_radiance(world, split.threshold, scene.luminance) * share
+        if reflection == GATHERED and paths.state[slot] > 1:
+            # Hits sample the whole world, if anyone does.
+            light = world * wp.where(scene.lights.environment_class >= 0, 0.0, 1.0)
     gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), SAMPLE_FAR)
     rays.found[slot] = FOUND_WORLD
     paths.state[slot] = ENDED
@@ -134,7 +146,12 @@ def choose_branch(
     branch.chance = 1.0
     branch.whole = 1
     total = mirror + glass + rough
-    if last == 1 or not mirror + glass > MIRROR_SHARE_MIN * total:
+    least = SHARE_MIN_FIRST
+    if surfaces > 1:
+        least = SHARE_MIN_FURTHER
+    if paths.pdf[slot] < WIDE_DENSITY:
+        least = SHARE_MIN_WIDE
+    if last == 1 or not mirror + glass > wp.max(least * total, PART_MIN):
         return branch
     branch.whole = 0
     u = sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_LOBE + DIMENSIONS * surfaces)[1] * total

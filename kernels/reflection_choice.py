@@ -10,17 +10,21 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_lights import settle_world
 from .cache_rays import Vertices
-from .geometry_math import INV_PI, is_finite3, max_component, mean_component
+from .environment_table import texel_of
+from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
+from .hash_grid import NO_CELL, HashGrid
 from .intersect import MISS, surface_point
 from .lights import LightSample, sample_light
 from .packing import unpack_normal
 from .paths import ENDED, Paths, load_hit
 from .reference import set_shadow_ray
+from .reflection_rays import FOUND_DIRECT, ReflectionRays
 from .sampling import hashed_unit, sample_pair
 from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Dimensions of the candidates' random numbers, three for each.
 DIMENSION_CANDIDATE = wp.constant(400)
@@ -28,7 +32,7 @@ STREAM_PICK = wp.constant(wp.uint32(0x5049434B))
 
 
 @wp.func
-def emitted(scene: Scene, s: LightSample) -> wp.vec3:
+def emitted(scene: Scene, world: wp.array[wp.vec3], s: LightSample) -> wp.vec3:
     """Return what a light sample's radiance is to be multiplied by, as set_shadow_ray does it; 1 for programs."""
     if s.kind == LIGHT_TRIANGLE:
         material = scene.materials.instance_materials[
@@ -36,6 +40,8 @@ def emitted(scene: Scene, s: LightSample) -> wp.vec3:
             + wp.min(scene.geometry.slots[s.triangle], scene.geometry.instances[s.instance].material_count - 1)]
         return scene.materials.materials[material].emission
     if s.kind == LIGHT_ENVIRONMENT:
+        if scene.environment.constant == 0:
+            return world[texel_of(scene.environment, s.wi)]
         return scene.environment.radiance
     return wp.vec3(1.0, 1.0, 1.0)
 
@@ -52,22 +58,33 @@ def choose_reflection_lights(
     # In:
     first: int,
     scene: Scene,
-    vertices: Vertices,
+    world: wp.array[wp.vec3],
+    grid: HashGrid,
+    rays: ReflectionRays,
     candidates: int,
     # Out:
     paths_out: Paths,
+    vertices_out: Vertices,
 ):
-    """Choose one of `candidates` samples of light at every hit and set up its shadow ray; see choose_cache_lights."""
+    """Choose one of `candidates` samples of light at every hit and set up its shadow ray; see choose_cache_lights.
+
+    The cells take these samples in, and know the rest of what triangles emit by their bounce rays (`grid.weighed`).
+    Hits that show direct light alone (FOUND_DIRECT) need all of it and give nothing to cells.
+    """
     slot = first + wp.tid()
     paths_out.shadow_distance[slot] = 0.0
     paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if paths_out.state[slot] == ENDED or paths_out.hit[slot][0] == MISS or scene.lights.class_count == 0:
         return
-    reflectance = vertices.reflectance[slot]
+    reflectance = vertices_out.reflectance[slot]
     if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
         return
     point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
-    normal = unpack_normal(vertices.normal[slot])
+    normal = unpack_normal(vertices_out.normal[slot])
+    weighed = grid.weighed
+    if rays.found[slot] == FOUND_DIRECT:
+        weighed = 0
+        vertices_out.cell[slot] = NO_CELL
     seed = paths_out.seed[slot]
     index = paths_out.index[slot]
     chosen = LightSample()
@@ -84,9 +101,11 @@ def choose_reflection_lights(
         if s.kind >= 0 and (s.visibility & VISIBLE_DIFFUSE) != 0:
             value = wp.float32(1.0)
             if candidates > 1:
-                value = mean_component(wp.cw_mul(s.radiance, emitted(scene, s)))
-            value = value * density_of(normal, reflectance[3], s.wi)
-            weight = value / s.pdf
+                value = mean_component(wp.cw_mul(s.radiance, emitted(scene, world, s)))
+            density = density_of(normal, reflectance[3], s.wi)
+            if weighed == 1 and s.kind == LIGHT_TRIANGLE:
+                density = density * power_heuristic(s.pdf, density)
+            weight = value * density / s.pdf
             if weight > 0.0 and wp.isfinite(weight):
                 total = total + weight
                 if hashed_unit(seed ^ STREAM_PICK, index * wp.uint32(candidates) + wp.uint32(k)) * total < weight:
@@ -95,10 +114,10 @@ def choose_reflection_lights(
         k = k + 1
     if not target > 0.0:
         return
-    scale = density_of(normal, reflectance[3], chosen.wi) * total / (target * float(candidates))
-    light = chosen.radiance * scale
+    light = chosen.radiance * (total / (target * float(candidates)))
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, chosen, light, paths_out, slot)
+        settle_world(scene, world, paths_out, slot)
         if paths_out.shadow_distance[slot] != 0.0:
-            # Counted by accumulate_light.
+            # For count_rays.
             paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)

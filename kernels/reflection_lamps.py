@@ -15,7 +15,7 @@ from .reflection_lights import lamps_along
 from .reflection_rays import first_density, gather
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

@@ -10,7 +10,7 @@ heuristic) leave twice the light to samples on mirrors, and to rays sparks of sm
 
 The zone is the chance that a pixel's sample is a ray at all. A ray, once drawn, weighs by w_ray / zone: the chance has
 been taken. Rays that leave no primary surface, or that went through glass or over a mirror before they meet
-a light, count in full: no light sample stands for them. They say so with a density of 0.
+a light, count in full: no light sample stands for them. They say so with a density of 0. Rays whose lights are all sampled say -1.
 """
 
 from __future__ import annotations
@@ -302,11 +302,13 @@ def emitter_ray_share(
         direction: Unit length.
         t: Distance from `origin` [m], transparent layers between included.
     """
-    if density <= 0.0:
+    if density == 0.0:
         return 1.0
     emitter = emitter_of(scene, instance, triangle)
     if emitter < 0:
         return 1.0
+    if density < 0.0:
+        return 0.0
     geometry = scene.geometry
     to_world = geometry.instances[instance].to_world
     vertices = geometry.triangles[triangle]
@@ -331,7 +333,9 @@ def world_ray_share(split: EnvironmentSplit, density: float, direction: wp.vec3)
         density: lobes_pdf of the primary surface in this direction; 0 where the ray counts in full.
         direction: Unit length.
     """
-    if density <= 0.0 or split.share <= 0.0:
+    if density < 0.0:
+        return 0.0
+    if density == 0.0 or split.share <= 0.0:
         return 1.0
     width = split.table.width
     height = split.table.height

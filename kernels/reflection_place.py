@@ -22,7 +22,7 @@ from .reflection_rays import (
     sequence_seed,
 )
 from .reflection_types import (
-    LOBE_TRANSMISSION,
+    LOBE_REFLECTION,
     NO_SAMPLE,
     SOURCE_NONE,
     SOURCE_PROBE,
@@ -41,7 +41,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 @wp.func
 def chance_of_ray(options: ReflectionOptions, m: SurfaceMaterial) -> float:
     """Return with which chance a pixel's sample is a traced ray."""
-    if options.lobe == LOBE_TRANSMISSION:
+    if options.lobe != LOBE_REFLECTION:
         return 1.0
     return ray_zone(options, m)
 

@@ -61,6 +61,8 @@ FOUND_OWN = wp.constant(wp.uint8(6))
 """Lit by a shadow ray of its own and the cache's indirect light"""
 FOUND_CELL = wp.constant(wp.uint8(7))
 """Lit by a cell's means alone"""
+FOUND_DIRECT = wp.constant(wp.uint8(8))
+"""Lit by a shadow ray of its own alone: for indirect light other rays go on"""
 
 
 @wp.struct
@@ -161,10 +163,19 @@ def gather(vertices: Vertices, slot: int, light: wp.vec3, length: float):
         e[0] + light[0], e[1] + light[1], e[2] + light[2], wp.min(e[3] + length, SAMPLE_FAR))
 
 
+# What kernels mean by `reflection`: who else shows the lights that a ray meets.
+REFRACTED = wp.constant(0)
+"""Nobody: rays that went through glass"""
+REFLECTED = wp.constant(1)
+"""Light samples, for rays that come straight from the pixel's surface, over no mirror; both share them"""
+GATHERED = wp.constant(2)
+"""Light samples show all of them (direct diffuse light)"""
+
+
 @wp.func
 def first_density(reflection: int, paths: Paths, slot: int) -> float:
-    """Return the density that a ray shares light with, see reflection_lights.py; 0: it counts in full.
-
-    Light samples stand for rays that come straight from the pixel's surface, `reflection` 1, over no mirror.
+    """Return the density that a ray shares light with, see reflection_lights.py; 0: it counts in full, -1: not at all.
     """
-    return wp.where(reflection == 1 and paths.state[slot] == 1, paths.pdf[slot], 0.0)
+    if reflection == GATHERED:
+        return -1.0
+    return wp.where(reflection == REFLECTED and paths.state[slot] == 1, paths.pdf[slot], 0.0)

@@ -20,7 +20,7 @@ from .hash_grid import (
 from .packed_halves import pack_halves
 from .packing import HALF_MAX, rgb, rgba, unpack_normal
 from .paths import Paths
-from .reflection_rays import FOUND_CELL, FOUND_OWN, ReflectionRays, ray_count
+from .reflection_rays import FOUND_CELL, FOUND_DIRECT, FOUND_OWN, ReflectionRays, ray_count
 from .reflection_types import ReflectionOptions, ReflectionSamples
 from .view import View
 
@@ -62,6 +62,8 @@ def hit_light(
     length = vertices.emission[slot][3]
     # A lobe narrower than a cell would show it.
     wide = paths.t[slot] > size and lobe_width(paths.pdf[slot], length) > size
+    if rays.found[slot] == FOUND_DIRECT:
+        return rgb(paths.radiance[slot])
     cell = int(NO_CELL)
     if wide or own_light == 0:
         if jitter == 1:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import closest_hit
-from .paths import ENDED, Paths, store_hit
+from .intersect import closest_filtered_hit, closest_hit
+from .paths import ENDED, Paths, store_hit, store_layer
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -16,17 +16,25 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 def trace_further(
     # In:
     scene: Scene,
+    filtered: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Find the closest opaque hit of listed segments; the last hits of rays that have ended are kept."""
+    """Find the closest opaque hit of listed segments; the last hits of rays that have ended are kept.
+
+    `filtered` 1: the first triangle before it that needs a test, too. For flat scenes see trace_flat_further.
+    """
     i = wp.tid()
     while i < count[0]:
         slot = queue[i]
         if paths_out.state[slot] != ENDED:
-            store_hit(paths_out, slot, closest_hit(
-                scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
+            origin = paths_out.origin[slot]
+            direction = paths_out.direction[slot]
+            hit = closest_hit(scene.geometry, origin, direction, paths_out.t[slot])
+            store_hit(paths_out, slot, hit)
+            if filtered == 1:
+                store_layer(paths_out, slot, closest_filtered_hit(scene.geometry, origin, direction, hit.t))
         i = i + stride

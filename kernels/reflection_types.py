@@ -15,6 +15,8 @@ from .geometry_math import max_component
 
 LOBE_REFLECTION = wp.constant(0)
 LOBE_TRANSMISSION = wp.constant(1)
+LOBE_DIFFUSE = wp.constant(2)
+"""Diffuse reflection and transmission, at rest alone (final gather)"""
 
 # ReflectionSamples.place of blocks without a sample.
 NO_SAMPLE = wp.constant(wp.uint8(255))
@@ -44,7 +46,7 @@ class ReflectionOptions:
     """Blocks in a row: ceil(width / stride)"""
     rows: int
     lobe: int
-    """LOBE_REFLECTION or LOBE_TRANSMISSION"""
+    """LOBE_*"""
     traced: float
     """Roughness up to which rays are traced (the paper's r_rt)"""
     diffuse: float
@@ -105,7 +107,7 @@ def fading(x: float, start: float, width: float) -> float:
 @wp.func
 def ray_share(options: ReflectionOptions, roughness: float) -> float:
     """Return the share of a reflection that rays bring; the rest is looked up in the probes."""
-    if options.lobe == LOBE_TRANSMISSION:
+    if options.lobe != LOBE_REFLECTION:
         return 1.0
     return fading(roughness, options.traced, options.blend)
 
@@ -113,7 +115,7 @@ def ray_share(options: ReflectionOptions, roughness: float) -> float:
 @wp.func
 def sampled_share(options: ReflectionOptions, roughness: float) -> float:
     """Return the share of a reflection that samples bring (rays or probes); the rest is diffuse light."""
-    if options.lobe == LOBE_TRANSMISSION:
+    if options.lobe != LOBE_REFLECTION:
         return 1.0
     return fading(roughness, options.diffuse - options.blend, options.blend)
 
@@ -123,6 +125,8 @@ def is_sampled(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
     """Return whether a surface needs samples of this lobe."""
     if options.lobe == LOBE_TRANSMISSION:
         return max_component(m.transmitted) > REFLECTANCE_MIN
+    if options.lobe == LOBE_DIFFUSE:
+        return max_component(m.diffuse + m.translucent) > REFLECTANCE_MIN
     sharpest = m.roughness
     if m.coat > REFLECTANCE_MIN:
         sharpest = wp.min(sharpest, m.coat_roughness)

@@ -298,6 +298,10 @@ class Tables:
     """[ior, cosine, roughness] weight between F0 and F90 under the real dielectric Fresnel"""
     schlick_s: wp.array2d[float]
     """[cosine, roughness] weight between F0 and F90 under Schlick's curve, for metals"""
+    dielectric_c: wp.array3d[float]
+    """[ior, cosine, roughness] cosine at which a smooth dielectric reflects what a rough one does, by its albedo"""
+    schlick_c: wp.array2d[float]
+    """[cosine, roughness] the same for Schlick's curve"""
 
 
 @wp.struct

@@ -97,7 +97,7 @@ class CompositePass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer, reprojection: Any,
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
-        options: ReflectionOptions | None = None,
+        options: ReflectionOptions | None = None, indirect: wp.array | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -115,6 +115,8 @@ class CompositePass:
                 surfaces' colours; None: `irradiance` stands in for it.
             transmission: The same of light that arrives through glass.
             options: Of the reflections: tell which surfaces have them; must come with `reflection`.
+            indirect: uint64 (long_mean.pack_mean), diffuse indirect light that stands in for `irradiance`, with what
+                leaning normals take from it.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
@@ -130,6 +132,8 @@ class CompositePass:
             lights.reflection, lights.options, lights.has_reflection = reflection, options, 1
         if transmission is not None:
             lights.transmission, lights.has_transmission = transmission, 1
+        if indirect is not None:
+            lights.indirect, lights.has_indirect = indirect, 1
         self._inputs[parity] = (gbuffer, lights)
         graph.launch(composite.compose, count, [views, gbuffer, lights], [color])
         for lobe, sums in self._sums.items():

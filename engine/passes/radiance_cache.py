@@ -38,6 +38,7 @@ from ...kernels.paths import Paths
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.types import Closure, Scene
 from ..debug_views import DEBUG_VIEWS
+from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import arrays_of
 from ..settings import CacheKey, CacheSettings
@@ -45,7 +46,7 @@ from ..shadow_rays import make_options, make_queue
 from ..structures import is_flat
 from ..work_list import make_work_list
 
-__all__ = ["RadianceCachePass", "smallest_cell"]
+__all__ = ["RadianceCachePass", "count_rays", "smallest_cell"]
 
 SMALLEST_CELL = 0.1
 """Metres: the published minimum, for rooms"""
@@ -102,6 +103,14 @@ def smallest_cell(settings: CacheSettings, radius: float) -> float:
     return min(SMALLEST_CELL, 2.0 * radius / CELLS_ACROSS)
 
 
+def count_rays(paths: Paths, vertices: Vertices, grid: HashGrid, count: int, control: CacheControl) -> np.ndarray:
+    """Return the last frame's counts, by cache_cells.COUNT_*; `count` rays are no bounces. Waits for the device."""
+    control.counters.zero_()
+    launch(cache_cells.count_rays, len(paths.state), [paths, vertices, grid, count], [control],
+           str(control.counters.device))
+    return control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+
+
 class RadianceCachePass:
     """Owns the cells; traces and answers the probes' rays."""
 
@@ -137,6 +146,8 @@ class RadianceCachePass:
         grid.minimum = settings.minimum_cell
         grid.level_blend, grid.scan_all = int(settings.level_blend), int(settings.scan_all)
         grid.directions = int(settings.key == CacheKey.DIRECTION)
+        # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
+        grid.weighed = int(settings.bounces not in (1, 2) and settings.bounce_share > 0.0)
         return grid
 
     def resize(self, width: int, height: int) -> None:
@@ -170,10 +181,10 @@ class RadianceCachePass:
             for name, dtype in arrays.items():
                 setattr(owner, name, self._zeros(max(size, 1), dtype))
         self.vertices.cell.fill_(int(NO_CELL))
-        # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
-        self._weighed = int(bounces > 0 and self.settings.bounces != 2)
         self.queue = make_queue(total if filtered else 1, self.device)
         self.layered = make_work_list(total if filtered else 1, self.device)
+        self.left = make_work_list(total, self.device)
+        """Rays and shadow rays that need the full node machine"""
 
     def cells(self, minimum_cell: float) -> HashGrid:
         """Return the cells for rays of other passes, with the smallest size [m] set (see smallest_cell).
@@ -187,6 +198,7 @@ class RadianceCachePass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
+        world: wp.array | None = None,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -200,12 +212,14 @@ class RadianceCachePass:
             minimum_cell: Smallest cell [m], see smallest_cell.
             threshold: Luminance to which the world's radiance is limited for rays that miss (EnvironmentSplit).
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
-            programs: Whether lights may be programs (DeviceScene.has_light_programs).
+            programs: Whether lights may be programs (DeviceScene.has_hit_programs).
             gbuffer: For debug views alone.
             all_lean: Whether the lean node machine runs all flat programs (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs.
+            world: The world's radiance by texels, where it is known (DeviceScene.world_texels).
         """
         self._all_lean, self._lean_layers = all_lean, lean_layers
+        self._world = self._zeros(1, wp.vec3) if world is None else world
         self._fit(count, filtered)
         self.grid.minimum = minimum_cell
         self._views, self._gbuffer[parity] = views, gbuffer
@@ -226,7 +240,7 @@ class RadianceCachePass:
         self._record_cells(graph, views, rays)
 
     def _record_start(self, graph: FrameGraph, views: wp.array) -> None:
-        graph.clear(self.control.counters, self.control.balance)
+        graph.clear(self.control.balance)
         share = int(cache_cells.PURGE_SHARE)
         graph.launch(
             cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
@@ -255,22 +269,25 @@ class RadianceCachePass:
     ) -> None:
         """Record what the hits of `count` rays from slot `offset` on are made of, and their cells."""
         with graph.section("Cache materials"):
-            what = [views, scene, offset, int(offset > 0), self._weighed, threshold, int(self._layers)]
-            graph.launch(cache_lean.evaluate_cache_lean, count, [*what, self.paths], [self.vertices])
-            if not self._all_lean or scene.environment.constant == 0:
-                graph.launch(
-                    cache_materials.evaluate_cache_materials, count, [*what, 1, self.paths], [self.vertices])
+            what = [int(offset > 0), self.grid.weighed, threshold, int(self._layers), self.paths]
+            graph.launch(
+                cache_lean.evaluate_cache_lean, count, [views, scene, self._world, offset, *what], [self.vertices])
+            if not self._all_lean or (scene.environment.constant == 0 and len(self._world) == 1):
+                left = self.left.part(offset, count)
+                graph.fill_list(compaction.append_left_hits, count, [self.vertices.emission, offset], left)
+                graph.launch_listed(
+                    cache_materials.evaluate_cache_materials, [views, scene, *what], left, [self.vertices])
         with graph.section("Cache cells"):
             graph.launch(
                 cache_cells.insert_vertices, count, [views, self.paths, offset],
-                [self.grid, self.vertices, self.control], banded=False)
+                [self.grid, self.vertices], banded=False)
 
     def _record_lights(self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool) -> None:
         """Record direct light at all hits."""
         total = self.count + self.bounces
         with graph.section("Cache lights"):
             graph.launch(
-                cache_lights.choose_cache_lights, total, [views, scene, self.vertices, self._weighed],
+                cache_lights.choose_cache_lights, total, [views, scene, self._world, self.vertices, self.grid.weighed],
                 [self.paths])
         with graph.section("Cache shadow rays"):
             flat = is_flat(scene)
@@ -289,7 +306,8 @@ class RadianceCachePass:
                 else:
                     graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
             if programs:
-                graph.launch(cache_programs.finish_cache_lights, total, [scene], [self.paths])
+                graph.fill_list(compaction.append_pending_shadows, total, [self.paths], self.left)
+                graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [self.paths])
 
     def _record_cells(self, graph: FrameGraph, views: wp.array, rays: ProbeRays) -> None:
         """Record taking the light into the cells, and the answer."""
@@ -321,6 +339,8 @@ class RadianceCachePass:
 
     def stats(self) -> dict[str, int]:
         """Return the last frame's counts; waits for the device."""
-        counters = self.control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+        counters = np.zeros(int(cache_cells.COUNTERS), np.int64)
+        if self.count >= 0:
+            counters = count_rays(self.paths, self.vertices, self.grid, self.count, self.control)
         counts = {name: int(counters[int(index)]) for name, index in COUNTERS.items()}
         return counts | {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 import warp as wp
 
 from ...kernels import (
@@ -19,6 +18,8 @@ from ...kernels import (
     cache_rays,
     compaction,
     flat_tracing,
+    gather_further,
+    gather_start,
     layers,
     layers_lean,
     reflection_choice,
@@ -43,8 +44,14 @@ from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
 from ...kernels.motion import Motion
 from ...kernels.paths import Paths
-from ...kernels.reflection_rays import ReflectionRays
-from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
+from ...kernels.reflection_rays import GATHERED, REFLECTED, REFRACTED, ReflectionRays
+from ...kernels.reflection_types import (
+    LOBE_DIFFUSE,
+    LOBE_REFLECTION,
+    LOBE_TRANSMISSION,
+    ReflectionOptions,
+    ReflectionSamples,
+)
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
@@ -52,7 +59,7 @@ from ..settings import ReflectionResolution, ReflectionSettings
 from ..shadow_rays import make_options, make_queue
 from ..structures import is_flat
 from ..work_list import WorkList, make_work_list
-from .radiance_cache import BOUNCE_ARRAYS, LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS, VERTEX_ARRAYS
+from .radiance_cache import BOUNCE_ARRAYS, LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS, VERTEX_ARRAYS, count_rays
 from .screen_probes import ScreenProbePass
 
 __all__ = ["RayScene", "ReflectionPass", "reflection_options"]
@@ -63,6 +70,19 @@ SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint3
 
 STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2}
 """What rays over mirrors need in every scene; the rest of LAYER_ARRAYS is for scenes with layers alone"""
+
+LOBES = {
+    int(LOBE_REFLECTION): ("reflections", "Reflection", int(REFLECTED), reflection_start.start_reflections),
+    int(LOBE_TRANSMISSION): ("refraction", "Refraction", int(REFRACTED), reflection_refract.start_refractions),
+    int(LOBE_DIFFUSE): ("final gather", "Final gather", int(GATHERED), gather_start.start_gathering),
+}
+"""The pass's name, its sections' title, what kernels know as `reflection`, the kernel that draws directions"""
+
+WAVES = 2
+"""Segments that have launches of their own; what is still under way then is little and goes to its end in one"""
+
+GATHER_SEGMENTS = 2
+"""Most segments of a final gather ray"""
 
 CANDIDATES = 4
 """Samples of light considered at each hit"""
@@ -82,10 +102,12 @@ class RayScene:
     scene: Scene
     split: EnvironmentSplit
     motion: Motion
+    world: wp.array
+    """Its radiance by texels, where it is known (DeviceScene.world_texels)"""
     filtered: bool = True
     """Whether there are triangles that need a test per hit (Structures.has_filtered)"""
     programs: bool = True
-    """Whether lights may be programs (DeviceScene.has_light_programs)"""
+    """Whether lights may be programs (DeviceScene.has_hit_programs)"""
     all_lean: bool = False
     """Whether the lean node machine runs all materials (MaterialTable.lean)"""
     lean_layers: bool = False
@@ -112,13 +134,10 @@ class ReflectionPass:
     """Owns a frame's samples of one lobe and the rays that find them."""
 
     def __init__(self, device: str, settings: ReflectionSettings, lobe: int = int(LOBE_REFLECTION)):
-        """Make the pass for LOBE_REFLECTION or LOBE_TRANSMISSION."""
+        """Make the pass for a lobe: LOBE_*."""
         self.device, self.settings, self.lobe = device, settings, int(lobe)
-        self.reflection = int(self.lobe == int(LOBE_REFLECTION))
-        self.name = "reflections" if self.reflection else "refraction"
-        self.title = "Reflection" if self.reflection else "Refraction"
-        """Of sections"""
-        names = DEBUG_CHANNELS if self.reflection else ()
+        self.name, self.title, self.reflection, self._start = LOBES[self.lobe]
+        names = DEBUG_CHANNELS if self.lobe == int(LOBE_REFLECTION) else ()
         self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
         self.width = self.height = 0
 
@@ -181,28 +200,44 @@ class ReflectionPass:
             grid: The radiance cache's cells, ready for this scene.
         """
         self._fit(what.filtered)
-        self._gbuffer[parity] = gbuffer
+        self._gbuffer[parity], self._grid = gbuffer, grid
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays
         with graph.section(self._section("rays")):
             graph.launch(reflection_place.place_samples, blocks, [views, options, gbuffer], [self.samples, rays])
             graph.call(lambda: wp.utils.array_scan(rays.flag, rays.rank, inclusive=True))
             graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
-            start = reflection_start.start_reflections
-            if not self.reflection:
-                start = reflection_refract.start_refractions
             graph.launch(
-                start, blocks, [views, scene, options, gbuffer], [self.samples, rays, paths, vertices])
-        rounds = 1 + (self.settings.bounces if what.mirrors else 0)
-        for index in range(rounds):
-            self._record_segment(graph, what, index, last=index == rounds - 1)
+                self._start, blocks, [views, scene, options, gbuffer], [self.samples, rays, paths, vertices])
+        follows = what.mirrors and self.lobe != int(LOBE_DIFFUSE)
+        segments = 1 + (self.settings.bounces if follows else 0)
+        # Layers that only the full machine knows take a kernel of their own, for each segment.
+        waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
+        for index in range(waves):
+            self._record_segment(graph, what, index, last=index == segments - 1)
+        if waves < segments:
+            self._record_ends(graph, what, segments - waves)
+        reuse = self.settings.screen_reuse
+        if self.lobe == int(LOBE_DIFFUSE):
+            self._record_near_hits(graph, views, what, grid)
+            # The picture before is noisier than the hits' own light, and has its error.
+            reuse = False
         with graph.section(self._section("hits")):
             graph.launch(
                 reflection_screen.look_back, blocks,
-                [views, scene, what.motion, self.width, self.height, int(self.settings.screen_reuse), previous,
+                [views, scene, what.motion, self.width, self.height, int(reuse), previous,
                  previous_color], [rays, paths, vertices])
         if self.settings.hit_lighting:
             self._record_lights(graph, views, what, grid)
+
+    def _record_near_hits(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
+        """Record following rays from near hits further: over as many surfaces as there are segments."""
+        for surfaces in range(1, GATHER_SEGMENTS):
+            with graph.section(self._section("hits")):
+                graph.launch(
+                    gather_further.follow_near_hits, self.blocks, [views, grid, surfaces],
+                    [self.rays, self.paths, self.vertices])
+            self._record_segment(graph, what, surfaces, last=True)
 
     def _section(self, part: str) -> str:
         return f"{self.title} {part}"
@@ -218,26 +253,42 @@ class ReflectionPass:
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
-                graph.launch_listed(reflection_trace.trace_further, [scene], work, [paths])
+                trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
+                graph.launch_listed(trace, [scene, int(what.filtered)], work, [paths], few=True)
             if what.filtered:
-                self._record_layers(graph, what)
-            if scene.lights.lamp_count > 0:
+                self._record_layers(graph, what, traced=index > 0)
+            if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
                 graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
         with graph.section(self._section("materials")):
-            arguments = [scene, what.split, self.reflection, int(last)]
-            graph.launch_listed(reflection_lean.follow_lean, arguments, work, [rays, paths, vertices])
+            arguments = [self.reflection, int(last)]
+            graph.launch_listed(
+                reflection_lean.follow_lean, [scene, what.split, what.world, *arguments], work,
+                [rays, paths, vertices])
             if not what.all_lean or scene.environment.constant == 0:
                 if index == 0:
                     work = self.left
                     graph.fill_list(reflection_place.append_left, blocks, [paths, vertices], work)
-                graph.launch_listed(reflection_materials.follow_full, arguments, work, [rays, paths, vertices])
+                graph.launch_listed(
+                    reflection_materials.follow_full, [scene, what.split, *arguments, 0, 0], work,
+                    [rays, paths, vertices])
 
-    def _record_layers(self, graph: FrameGraph, what: RayScene) -> None:
-        """Record looking through transparent layers in front of the hits."""
-        if is_flat(what.scene):
-            graph.launch(flat_tracing.trace_flat_layers, self.blocks, [what.scene, 0], [self.paths])
-        else:
-            graph.launch_queued(tracing.trace_layers, [what.scene], self.queue, [self.paths])
+    def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
+        """Record following the rays that are still under way over so many segments, the last."""
+        paths = self.paths
+        with graph.section(self._section("materials")):
+            graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)
+            graph.launch_listed(
+                reflection_materials.follow_full,
+                [what.scene, what.split, self.reflection, 1, segments, int(what.filtered)], self.living,
+                [self.rays, paths, self.vertices], few=True)
+
+    def _record_layers(self, graph: FrameGraph, what: RayScene, *, traced: bool) -> None:
+        """Record looking through transparent layers in front of the hits; `traced`: the first of them is known."""
+        if not traced:
+            if is_flat(what.scene):
+                graph.launch(flat_tracing.trace_flat_layers, self.blocks, [what.scene, 0], [self.paths])
+            else:
+                graph.launch_queued(tracing.trace_layers, [what.scene], self.queue, [self.paths])
         if what.lean_layers:
             graph.fill_list(compaction.append_layered_paths, self.blocks, [self.paths, 0], self.layered)
             graph.launch_listed(layers_lean.filter_paths_lean, [what.scene], self.layered, [self.paths])
@@ -248,11 +299,12 @@ class ReflectionPass:
         """Record lighting the hits in which rays have ended, with a shadow ray each, for them and for their cells."""
         scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
         with graph.section(self._section("hits")):
-            graph.clear(self.control.counters)
             graph.launch(
-                cache_cells.insert_vertices, blocks, [views, paths, 0], [grid, vertices, self.control], banded=False)
+                cache_cells.insert_vertices, blocks, [views, paths, 0], [grid, vertices], banded=False)
             candidates = 1 if what.programs else CANDIDATES
-            graph.launch(reflection_choice.choose_reflection_lights, blocks, [scene, vertices, candidates], [paths])
+            graph.launch(
+                reflection_choice.choose_reflection_lights, blocks,
+                [scene, what.world, grid, self.rays, candidates], [paths, vertices])
         with graph.section(self._section("shadow rays")):
             flat = is_flat(scene)
             trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
@@ -269,7 +321,8 @@ class ReflectionPass:
                 else:
                     graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [paths])
             if what.programs:
-                graph.launch(cache_programs.finish_cache_lights, blocks, [scene], [paths])
+                graph.fill_list(compaction.append_pending_shadows, blocks, [paths], self.left)
+                graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [paths])
         with graph.section(self._section("hits")):
             # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
             graph.launch(
@@ -285,7 +338,7 @@ class ReflectionPass:
                 reflection_resolve.resolve_reflections, self.blocks,
                 [views, self.options, grid, int(self.settings.hit_lighting), int(self.settings.jitter), self.paths,
                  self.vertices], [self.rays, self.samples])
-            if self.reflection:
+            if self.lobe == int(LOBE_REFLECTION):
                 probes.record_look_ups(graph, views, gbuffer, self.options, self.rays.source, self.samples)
         return self.samples
 
@@ -299,7 +352,7 @@ class ReflectionPass:
         """Return the last frame's counts; waits for the device."""
         if self._room is None:
             return {}
-        counters = self.control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+        counters = count_rays(self.paths, self.vertices, self._grid, self.blocks, self.control)
         what = self.title.lower()
         return {f"{what} rays": int(self.rays.rank.numpy()[-1]),
                 f"{what} shadow rays": int(counters[int(cache_cells.COUNT_SHADOWS)])}

@@ -219,12 +219,14 @@ def test_rest_reprojects_onto_itself():
     camera = tilted_camera()
     first = frames.shot(camera, jitter=np.array([-0.5, 0.5]))
     assert (first["taps"] == 0).all()
+    before = first
     for _ in range(3):
         picture = frames.shot(camera, jitter=np.array([-0.5, 0.5]))
         y, x = np.mgrid[:24, :24] + 0.5
         assert (picture["before"] == np.stack([x, y], -1)).all()
         assert (picture["motion"] == 0).all()
-        plane = (picture["hit"][..., 0] == 0) & (first["hit"][..., 0] == 0)
+        plane = (picture["hit"][..., 0] == 0) & (before["hit"][..., 0] == 0)
+        before = picture
         calm = plane[1:-1, 1:-1] & plane[:-2, 1:-1] & plane[2:, 1:-1] & plane[1:-1, :-2] & plane[1:-1, 2:]
         calm &= plane[2:, 2:] & plane[2:, :-2] & plane[:-2, 2:] & plane[:-2, :-2]
         assert calm.sum() > 100 and (picture["taps"][1:-1, 1:-1][calm] == 15).all()

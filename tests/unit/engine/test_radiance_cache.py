@@ -34,7 +34,7 @@ LINES = 64
 class Rig:
     """A scene, a cache, a camera, and rays to ask with."""
 
-    def __init__(self, delta, device, count=2048, camera=None, minimum=0.12, seed=0, **settings):
+    def __init__(self, delta, device, count=2048, camera=None, minimum=0.12, seed=0, texels=False, **settings):
         settings.setdefault("capacity", 14)
         # Asked for in pixels of this picture.
         pixels = settings.pop("cell_pixels", 32.0)
@@ -51,6 +51,7 @@ class Rig:
         for name, dtype in RAY_ARRAYS.items():
             setattr(self.rays, name, wp.zeros(count, dtype=dtype, device=device))
         self.rng = np.random.default_rng(seed)
+        self.texels = texels
         self.record()
 
     def record(self):
@@ -60,9 +61,15 @@ class Rig:
             graph = FrameGraph(self.cache.device)
             self.cache.record(
                 graph, parity, self.scene.scene, self.views.array, self.rays, self.count, minimum_cell=self.minimum,
-                filtered=self.scene.structures.has_filtered, programs=self.scene.has_light_programs,
-                lean_layers=self.scene.material_table.lean.transparency)
+                filtered=self.scene.structures.has_filtered, programs=self.programs,
+                lean_layers=self.scene.material_table.lean.transparency,
+                world=self.scene.world_texels if self.texels else None)
             self.graphs.append(graph)
+
+    @property
+    def programs(self):
+        """Return whether lights may be programs for the cache."""
+        return self.scene.has_hit_programs if self.texels else self.scene.has_light_programs
 
     def frame(self, origin, direction, t_max=1e18, lit=False):
         """Render a frame and return the answers, [count, 4]."""
@@ -186,18 +193,25 @@ def varying_world():
     return WorldData(name="varying", program=builder.finish(), importance_resolution=16)
 
 
+@pytest.mark.parametrize("texels", [True, False])
 @pytest.mark.parametrize("sampling", [True, False])
-def test_varying_world_over_a_floor(device, sampling):
-    """Light a floor from both sides under a world that is a program, whether it is sampled or met by chance."""
+def test_varying_world_over_a_floor(device, sampling, texels):
+    """Light a floor from both sides under a world that is a program, whether it is sampled or met by chance.
+
+    The same by the world's texels as by running its program.
+    """
     background = dataclasses.replace(varying_world(), sampling=sampling)
     delta = scenes.delta({"floor": scenes.quad(2.0)}, [("floor", np.eye(4), "grey")],
                          {"grey": scenes.material(color=0.5)}, background=background)
-    rig = Rig(delta, device, count=512)
+    rig = Rig(delta, device, count=512, texels=texels)
+    assert rig.programs != texels
     down = np.arange(512) % 2 == 0
     origin = np.where(down[:, None], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
     answers = [rig.frame(origin + rig.rng.uniform(-1, 1, (512, 3)) * [1, 1, 0], -origin) for _ in range(60)]
     answers = np.mean(answers[10:], 0)
     np.testing.assert_allclose([answers[down, :3].mean(), answers[~down, :3].mean()], [1.5, 0.5], rtol=0.02)
+    missing = rig.frame(origin, origin)
+    np.testing.assert_allclose([missing[down, :3].mean(), missing[~down, :3].mean()], [3.0, 1.0], rtol=1e-4)
 
 
 def test_glass_before_a_wall_dims_it(device):

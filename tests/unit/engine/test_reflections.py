@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine.debug_views import DEBUG_VIEWS
+from burnish.engine.passes import reflections
 from burnish.engine.passes.reflections import DEBUG_CHANNELS
 from burnish.engine.reflectors import find_reflectors
 from burnish.engine.session import Session
@@ -272,3 +273,17 @@ def test_scenes_without_reflections_record_none():
 def test_debug_views_are_known():
     """Have a help text for each debug view."""
     assert set(DEBUG_CHANNELS) <= set(DEBUG_VIEWS)
+
+
+def test_chains_end_alike_in_one_launch(monkeypatch):
+    """Follow rays to their ends in one launch with the samples that launches for each segment give."""
+    found = []
+    for waves in (2, 99):
+        monkeypatch.setattr(reflections, "WAVES", waves)
+        samples = Samples(facing_mirrors(), look_at((-0.3, -1.2, 1.0), (0.1, 1.5, 0.8), SIZE, 1.0))
+        kernels = [step.kernel for step in samples.pipeline._graphs[next(iter(samples.pipeline._graphs))][0]._steps]
+        found.append((samples.radiance(), kernels.count("trace_further") + kernels.count("trace_flat_further")))
+    (one, few), (other, many) = found
+    assert few == 1 and many > 3
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)

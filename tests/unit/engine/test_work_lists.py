@@ -15,7 +15,16 @@ from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSE
 from burnish.engine.shadow_rays import make_options, make_queue
 from burnish.engine.structures import is_flat
 from burnish.engine.work_list import LISTED_THREADS, make_work_list
-from burnish.kernels import compaction, flat_tracing, layers, layers_lean, shadow_layers, shadow_layers_lean, tracing
+from burnish.kernels import (
+    compaction,
+    flat_tracing,
+    layers,
+    layers_lean,
+    reflection_trace,
+    shadow_layers,
+    shadow_layers_lean,
+    tracing,
+)
 from burnish.kernels.intersect import MISS
 from burnish.kernels.paths import Paths
 from burnish.kernels.types import VISIBLE_DIFFUSE
@@ -150,6 +159,15 @@ def test_flat_rays_find_the_same(scene):
     one, other = (values(paths, WRITTEN) for paths in (both, flat))
     assert 0.1 < (one["hit"][alive, 0] >= 0).mean() < 0.9
     assert_same({name: one[name][alive] for name in one}, {name: other[name][alive] for name in other})
+    work, queue_of_half = make_work_list(COUNT, device), np.flatnonzero(alive)[::2].astype(np.int32)
+    work.queue[: len(queue_of_half)].assign(queue_of_half)
+    work.count.assign([len(queue_of_half)])
+    for kernel in (reflection_trace.trace_further, flat_tracing.trace_flat_further):
+        further = make_paths(device)
+        wp.launch(kernel, 128, [all_of, 1, 128, work.count, work.queue], [further], device=device, block_dim=64)
+        other = values(further, WRITTEN)
+        assert_same({name: one[name][queue_of_half] for name in one},
+                    {name: other[name][queue_of_half] for name in other})
     for kernel, inputs, paths in (
             (tracing.trace_shadows, [all_of, options, 1, queue], both),
             (flat_tracing.trace_flat_shadows, [0, all_of], flat),

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel that draws the first directions of final gather rays: evenly by the cosine, on both sides of a leaf.
+
+Final gather (Ward et al. 1988; Jensen 1996): a ray of its own for each pixel finds contacts and corners, which screen
+probes are too far apart for; where it ends the radiance cache answers.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .cache_rays import Vertices
+from .gbuffer import GBuffer, barycentrics_of, load_material, load_surface, view_direction
+from .geometry_math import INV_PI, max_component, mean_component, to_frame
+from .intersect import surface_point
+from .normals import bump_shadowing
+from .packing import pack_normal
+from .paths import Paths, make_hit
+from .reflection_rays import (
+    DIMENSION_DIRECTION,
+    DIMENSION_LOBE,
+    ReflectionRays,
+    make_idle,
+    ray_count,
+    send_ray,
+    sequence_index,
+    sequence_seed,
+    start_ray,
+)
+from .reflection_start import over_albedo
+from .reflection_types import ReflectionOptions, ReflectionSamples, place_pixel
+from .sampling import sample_cosine, sample_pair
+from .tracing import FOOTPRINT_SCALE
+from .types import VISIBLE_DIFFUSE, Scene
+from .view import View, pixel_footprint
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Least density [1/sr] of a direction: samples must have one.
+PDF_MIN = wp.constant(1.0e-6)
+
+
+@wp.kernel
+def start_gathering(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    options: ReflectionOptions,
+    gbuffer: GBuffer,
+    # Out:
+    samples_out: ReflectionSamples,
+    rays_out: ReflectionRays,
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Draw a direction for each ray, before or behind the surface by the shares of what it reflects and lets through.
+
+    One that lies on the wrong side of the triangle is absorbed, as in the path tracer: a black sample.
+    """
+    slot = first + wp.tid()
+    if slot >= ray_count(rays_out, options.columns * options.rows):
+        make_idle(paths_out, vertices_out, slot)
+        return
+    view = views[0]
+    block = rays_out.block[slot]
+    place = int(samples_out.place[block])
+    pixel = place_pixel(options, block, place)
+    m = load_material(gbuffer, pixel)
+    surface = load_surface(view, gbuffer, options.width, pixel)
+    point = surface_point(
+        scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -view_direction(view, surface))
+    seed = sequence_seed(view, options.width, pixel)
+    index = sequence_index(options.stride, view.frame, place)
+    total = m.diffuse + m.translucent
+    share = mean_component(m.diffuse) / wp.max(mean_component(total), 1.0e-20)
+    side = float(1.0)
+    lobe = m.diffuse
+    if sample_pair(seed, index, DIMENSION_LOBE)[0] >= share:
+        side = float(-1.0)
+        lobe = m.translucent
+        share = 1.0 - share
+    local = sample_cosine(sample_pair(seed, index, DIMENSION_DIRECTION))
+    direction = wp.normalize(to_frame(surface.normal * side, local))
+    pdf = wp.max(local[2] * share * INV_PI, PDF_MIN)
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    if wp.dot(direction, point.geometric_normal) * side > 0.0:
+        shadow = float(1.0)
+        if side > 0.0:
+            shadow = bump_shadowing(surface.normal, point.normal, direction, True, True)
+        weight = over_albedo(lobe * (shadow / wp.max(share, 1.0e-6)), total)
+    footprint = pixel_footprint(view.camera, surface.depth) * FOOTPRINT_SCALE
+    samples_out.direction[block] = pack_normal(direction)
+    samples_out.pdf[block] = pdf
+    start_ray(
+        paths_out, vertices_out, rays_out, slot, seed, index, weight, pdf,
+        wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE))
+    if max_component(weight) > 0.0:
+        send_ray(paths_out, slot, point, direction, VISIBLE_DIFFUSE, 1)
