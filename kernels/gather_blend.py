@@ -31,6 +31,10 @@ TAPS = wp.constant(12)
 SIGMA_START = wp.constant(14.0)
 SIGMA_LEAST = wp.constant(1.0)
 SIGMA_MOST = wp.constant(5.0)
+# The same as a share of the mean distance to what the pixel's rays meet, at most; and a tap's distance as a share of
+# that of its own rays.
+REACH_SHARE = wp.constant(0.1)
+TAP_SHARE = wp.constant(0.25)
 # Turn from a tap to the next: the golden angle.
 TURN = wp.constant(2.3999632)
 # As many samples is the probes' light worth for each pixel's width of distance to what is around; between:
@@ -72,6 +76,9 @@ def blend_gathered(
         light = unpack_mean(history.light[pixel]) * total
         samples = wp.max(float(view.rest) / float(stride * stride), 1.0)
         sigma = wp.clamp(SIGMA_START / wp.sqrt(samples), SIGMA_LEAST, SIGMA_MOST)
+        if total > 0.0:
+            # Beside a wall the rays are short: what lies beyond it must not be asked.
+            sigma = wp.min(sigma, REACH_SHARE / wp.max(state[2], 1.0e-6))
         bits = hash_combine(hash32(wp.uint32(pixel)), wp.uint32(view.frame))
         turn = TWO_PI * to_unit(bits)
         shift = to_unit(hash32(bits))
@@ -88,6 +95,8 @@ def blend_gathered(
                 w *= smooth_normal_weight(squared_cosine(normal, gbuffer.normal[q]))
                 if w > 0.0:
                     other = unpack_halves(history.state[q])
+                    if other[2] * distance > TAP_SHARE:
+                        other[0] = 0.0
                     w *= other[0]
                     light += unpack_mean(history.light[q]) * w
                     closeness += other[2] * w
@@ -97,5 +106,7 @@ def blend_gathered(
         if total > 0.0:
             apart = total / wp.max(closeness, 1.0e-9)
             known = wp.clamp(PROBE_SAMPLES * apart, PROBE_LEAST, PROBE_MOST)
-            result = wp.lerp(result, light / total, total / (total + known))
+            # What anti-aliasing will have averaged, not what is known here now: at edges that is little in each frame.
+            found = samples * float(TAPS + 1)
+            result = wp.lerp(result, light / total, found / (found + known))
     indirect_out[pixel] = pack_mean(result)

@@ -9,7 +9,7 @@ from .gbuffer import GBuffer, Surface, load_previous_surface, load_surface, plan
 from .long_mean import nearest_tap, pack_mean, unpack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
-from .reflection_types import ReflectionOptions, ReflectionSamples, block_of, is_sampled, sample_pixel
+from .reflection_types import ReflectionOptions, ReflectionSamples, block_of, sample_pixel
 from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import SKY_DEPTH, View, pixel_footprint, settled_length
 
@@ -23,6 +23,8 @@ MEAN_SAMPLES = wp.constant(16.0)
 # A neighbour lends its mean if its normals' cosine is above the first and it lies off the plane by less pixels' widths.
 LENDER_COSINE = wp.constant(0.95)
 LENDER_PIXELS = wp.constant(1.0)
+# Closeness from which a neighbour lends nothing.
+LENDER_CLOSENESS = wp.constant(0.2)
 
 
 @wp.struct
@@ -65,8 +67,10 @@ def find_lender(
         j = y + k // 3 - 1
         if k != 4 and i >= 0 and j >= 0 and i < width and j < height:
             q = j * width + i
-            length = unpack_halves(history.state[q])[0]
-            if length > longest:
+            state = unpack_halves(history.state[q])
+            length = state[0]
+            # Beside a wall the neighbour may lie beyond it.
+            if length > longest and state[2] < LENDER_CLOSENESS:
                 if is_lender(view, previous, width, surface, q):
                     found = q
                     longest = length

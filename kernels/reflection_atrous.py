@@ -19,26 +19,32 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_weights import unit_normal
-from .gbuffer import GBuffer, load_material, load_surface
-from .geometry_math import sqr
+from .gbuffer import GBuffer, load_material
+from .geometry_math import PI, mean_component, sqr
+from .ggx import bounded_cap
+from .long_mean import unpack_mean
+from .normals import valid_specular_normal
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba, unpack_normal
 from .reflection_blocks import (
-    UNKNOWN,
     FilterCentre,
     FilterTap,
     ReflectionBlocks,
+    ReflectionHistory,
     ReflectionLight,
     block_centre,
     block_depth,
     filter_tap,
     in_grid,
+    light_strength,
     pack_state,
+    row_reach,
+    state_lobe,
     unpack_state,
 )
 from .reflection_types import LOBE_REFLECTION, SAMPLE_FAR, ReflectionOptions, ReflectionSamples
-from .specular_lobes import SpecularLobes, lobes_pdf, specular_lobes, surface_alpha
-from .view import SKY_DEPTH, View, direction_to_eye, eye_position, pixel_footprint
+from .specular_lobes import surface_alpha
+from .view import SKY_DEPTH, View, direction_to_eye, eye_position, film_position, pixel_footprint, unproject
 
 # Fast: weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -62,9 +68,15 @@ REPLACED_SHARE = wp.constant(0.25)
 WEIGHT_MINIMUM = wp.constant(0.1)
 # Kernels narrower than this share of the taps' spacing hold nothing but the centre.
 NARROW = wp.constant(0.25)
-# Frames at rest between which the filters shrink to nothing.
+# Frames at rest between which the filters shrink to nothing, where the mean's relative error lies below the first; they
+# stay as wide as they were where it is above the second. Light below ERROR_FLOOR is too dark to see errors in.
 REST_START = wp.constant(16.0)
 REST_END = wp.constant(160.0)
+ERROR_LOW = wp.constant(0.01)
+ERROR_HIGH = wp.constant(0.04)
+ERROR_FLOOR = wp.constant(0.02)
+# Of their width, what is left in the end for differences of the normals where they stay wide.
+TURN_SHARE = wp.constant(0.3)
 # Exponent beyond which a weight is as good as none, but tells near from far.
 EXPONENT_MAX = wp.constant(60.0)
 # Sum of weights below which there is nothing.
@@ -95,9 +107,15 @@ class FilterPass:
 class FilterLobe:
     """The lobe into which a centre reflects."""
 
-    lobes: SpecularLobes
-    """Only where densities are asked for"""
     position: wp.vec3
+    normal: wp.vec3
+    """From here to `coat_alpha` only where densities are asked for: the lobes' normal, view, and for both lobes GGX's
+    alpha and the density by D, share of the lobe included"""
+    view: wp.vec3
+    scale: float
+    alpha: float
+    coat_scale: float
+    coat_alpha: float
     peak: float
     """Density in the mirrored direction [1/sr]; only where weights are as published"""
     spread: float
@@ -108,12 +126,24 @@ class FilterLobe:
     """Width of a pixel [m]"""
     reach: float
     """Share of the filter's width that is left at rest"""
+    turn_reach: float
+    """The same of what normals may differ by"""
 
 
 @wp.func
 def filter_reach(view: View) -> float:
     """Return by how much filters are narrower: 1 in motion, falling to nearly 0 at rest."""
-    return wp.clamp((REST_END - float(view.rest)) / (REST_END - REST_START), 1.0e-3, 1.0)
+    rest = float(wp.min(view.rest, view.light_age))
+    return wp.clamp((REST_END - rest) / (REST_END - REST_START), 1.0e-3, 1.0)
+
+
+@wp.func
+def error_reach(history: ReflectionHistory, pixel: int) -> float:
+    """Return how much of a filter's width is worth keeping at rest, 0..1, by the error left in a pixel's mean."""
+    state = unpack_halves(history.state[pixel])
+    error = state[2] / wp.sqrt(wp.max(wp.abs(state[0]), 1.0))
+    error = error / (light_strength(unpack_mean(history.light[pixel])) + ERROR_FLOOR)
+    return wp.clamp((error - ERROR_LOW) / (ERROR_HIGH - ERROR_LOW), 0.0, 1.0)
 
 
 @wp.func
@@ -123,30 +153,75 @@ def needs_densities(options: ReflectionOptions, part: FilterPass) -> bool:
 
 
 @wp.func
+def density_scale(cosine: float, alpha: float) -> float:
+    """Return the density of sample_ggx_reflection by GGX's D, for a cosine of the view; below the surface too."""
+    if cosine <= 0.0:
+        return 0.0
+    sine = wp.sqrt(wp.max(1.0 - sqr(cosine), 0.0))
+    cap = bounded_cap(wp.vec3(sine, 0.0, cosine), alpha, alpha)
+    return 0.5 / (cap * cosine + wp.sqrt(sqr(alpha * sine) + sqr(cosine)))
+
+
+@wp.func
+def half_density(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
+    """Return GGX's D of a half vector of any length; no difference of near numbers, so that mirrors are exact."""
+    up = wp.dot(normal, half)
+    aside = half - normal * up
+    a2 = sqr(alpha)
+    spread = wp.dot(aside, aside) + a2 * sqr(up)
+    return a2 * sqr(wp.dot(half, half) / wp.max(spread, 1.0e-20)) * (1.0 / PI)
+
+
+@wp.func
+def drawn_density(lobe: FilterLobe, direction: wp.vec3) -> float:
+    """Return the density of a direction in the lobe's samples, absorbed ones below the surface included (drawn_pdf)."""
+    half = lobe.view + direction
+    density = lobe.scale * half_density(lobe.normal, half, lobe.alpha)
+    if lobe.coat_scale > 0.0:
+        density += lobe.coat_scale * half_density(lobe.normal, half, lobe.coat_alpha)
+    return density
+
+
+@wp.func
 def filter_lobe(
-    view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, centre: FilterCentre,
+    view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, history: ReflectionHistory,
+    centre: FilterCentre,
 ) -> FilterLobe:
     """Return the lobe of a centre."""
     out = FilterLobe()
     pixel = centre.y * options.width + centre.x
-    surface = load_surface(view, gbuffer, options.width, pixel)
-    wo = direction_to_eye(view.camera, surface.position)
-    out.position = surface.position
+    depth = centre.plane.depth
+    out.position = unproject(view.camera, film_position(view, centre.x, centre.y), depth)
+    wo = direction_to_eye(view.camera, out.position)
     cosine = wp.clamp(wp.dot(centre.normal, wo), GRAZING, 1.0)
     out.spread = LOBE_SIGMA * surface_alpha(centre.roughness) * cosine
     if options.lobe != LOBE_REFLECTION:
         out.spread = out.spread * REFRACTION_SHARE
-    out.pixel = pixel_footprint(view.camera, surface.depth)
+    out.pixel = pixel_footprint(view.camera, depth)
     out.turn = 0.0
     if view.camera.orthographic == 0:
-        out.turn = out.pixel / wp.max(wp.length(eye_position(view.camera) - surface.position), 1.0e-20)
+        out.turn = out.pixel / wp.max(wp.length(eye_position(view.camera) - out.position), 1.0e-20)
     out.reach = filter_reach(view)
+    out.turn_reach = out.reach
+    if out.reach < 1.0:
+        wanted = error_reach(history, pixel)
+        out.turn_reach = wp.max(out.reach, TURN_SHARE * wanted)
+        out.reach = wp.max(out.reach, wanted)
     out.peak = 1.0
     if needs_densities(options, part):
-        out.lobes = specular_lobes(load_material(gbuffer, pixel), surface, wo)
+        m = load_material(gbuffer, pixel)
+        out.view = wo
+        out.normal = valid_specular_normal(unpack_normal(gbuffer.geometric_normal[pixel]), wo, centre.normal)
+        out.alpha = surface_alpha(m.roughness)
+        up = wp.dot(out.normal, wo)
+        share = float(0.0)
+        if m.coat > 0.0:
+            share = wp.clamp(m.coat / wp.max(mean_component(m.specular), 1.0e-6), 0.0, 1.0)
+            out.coat_alpha = surface_alpha(m.coat_roughness)
+            out.coat_scale = share * density_scale(up, out.coat_alpha)
+        out.scale = (1.0 - share) * density_scale(up, out.alpha)
         if part.ratio == 0:
-            mirrored = out.lobes.normal * (2.0 * wp.dot(out.lobes.normal, wo)) - wo
-            out.peak = wp.max(lobes_pdf(out.lobes, mirrored), 1.0e-20)
+            out.peak = wp.max(drawn_density(out, out.normal * (2.0 * up) - wo), 1.0e-20)
     return out
 
 
@@ -175,15 +250,20 @@ def pass_sigma(options: ReflectionOptions, part: FilterPass, lobe: FilterLobe, c
 @wp.func
 def lobe_overlap(centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float) -> float:
     """Return how much alike two surfaces reflect a point: 1 for the same lobe about the same direction."""
-    alpha = surface_alpha(centre.roughness)
-    other = surface_alpha(tap.roughness)
-    alike = 2.0 * alpha * other / (alpha * alpha + other * other)
-    bend = unit_normal(tap.normal) - centre.normal
-    # Mirrored directions turn by twice the angle of the normals.
-    turned = 2.0 / (NORMAL_SHARE * LOBE_SIGMA * alpha)
-    moved = angle_of_pixel(lobe, closeness) / lobe.spread
-    square = wp.dot(bend, bend) * (turned * turned) + float(tap.dx * tap.dx + tap.dy * tap.dy) * (moved * moved)
-    return alike * alike * wp.exp(-wp.min(0.5 * square / (lobe.reach * lobe.reach), EXPONENT_MAX))
+    moved = angle_of_pixel(lobe, closeness) / (lobe.spread * lobe.reach)
+    square = float(tap.dx * tap.dx + tap.dy * tap.dy) * sqr(moved)
+    alike = float(1.0)
+    # Even surfaces are the most, and all threads of a warp lie on the same.
+    if tap.roughness != centre.roughness:
+        alpha = surface_alpha(centre.roughness)
+        other = surface_alpha(tap.roughness)
+        alike = sqr(2.0 * alpha * other / (alpha * alpha + other * other))
+    if tap.normal != centre.packed:
+        # Mirrored directions turn by twice the angle of the normals.
+        turned = 2.0 / (NORMAL_SHARE * LOBE_SIGMA * surface_alpha(centre.roughness) * lobe.turn_reach)
+        bend = unit_normal(tap.normal) - centre.normal
+        square += wp.dot(bend, bend) * sqr(turned)
+    return alike * wp.exp(-wp.min(0.5 * square, EXPONENT_MAX))
 
 
 @wp.func
@@ -198,8 +278,8 @@ def tap_direction(
     direction = unpack_normal(samples.direction[tap.block])
     if closeness * SAMPLE_FAR < 1.01 or (tap.dx == 0 and tap.dy == 0):
         return rgba(direction, 1.0)
-    other = load_surface(view, gbuffer, options.width, (centre.y + tap.dy) * options.width + centre.x + tap.dx)
-    apart = (other.position - lobe.position) * closeness + direction
+    other = unproject(view.camera, film_position(view, centre.x + tap.dx, centre.y + tap.dy), tap.depth)
+    apart = (other - lobe.position) * closeness + direction
     square = wp.max(wp.dot(apart, apart), 1.0e-12)
     return rgba(apart * (1.0 / wp.sqrt(square)), square)
 
@@ -207,15 +287,16 @@ def tap_direction(
 @wp.func
 def tap_weight(
     view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
-    centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float, confidence: float,
+    centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float,
 ) -> wp.vec2:
     """Return d * p of a block, and how much of a sample of its own it is for the centre."""
     own = tap.dx == 0 and tap.dy == 0
+    confidence = tap.confidence
     if part.ratio == 0:
         if confidence == 0.0 or options.lobe != LOBE_REFLECTION:
             return wp.vec2(tap.near, tap.near)
         to_hit = tap_direction(view, gbuffer, options, samples, centre, lobe, tap, closeness)
-        return wp.vec2(tap.near * lobes_pdf(lobe.lobes, rgb(to_hit)) / lobe.peak, tap.near)
+        return wp.vec2(tap.near * drawn_density(lobe, rgb(to_hit)) / lobe.peak, tap.near)
     match = tap.near
     if not own:
         match *= lobe_overlap(centre, lobe, tap, closeness)
@@ -226,7 +307,7 @@ def tap_weight(
     if own or options.lobe != LOBE_REFLECTION:
         return wp.vec2(match, match)
     to_hit = tap_direction(view, gbuffer, options, samples, centre, lobe, tap, closeness)
-    ratio = lobes_pdf(lobe.lobes, rgb(to_hit)) / (samples.pdf[tap.block] * to_hit[3])
+    ratio = drawn_density(lobe, rgb(to_hit)) / (samples.pdf[tap.block] * to_hit[3])
     return wp.vec2(tap.near * wp.min(ratio, RATIO_MAX), match)
 
 
@@ -252,7 +333,7 @@ def gaussian(tap: FilterTap, sigma: float) -> float:
     return wp.exp(-wp.min(0.5 * float(tap.dx * tap.dx + tap.dy * tap.dy) / sqr(sigma), EXPONENT_MAX))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def filter_blocks(
     first: int,
     # In:
@@ -263,27 +344,28 @@ def filter_blocks(
     samples: ReflectionSamples,
     blocks: ReflectionBlocks,
     lights: ReflectionLight,
+    history: ReflectionHistory,
     # Out:
     lights_out: ReflectionLight,
 ):
     """Filter the light of blocks among themselves (all passes but the last); banded over blocks.
 
-    44 bytes a block: 32 read, 12 written; those of the taps are cached. Mirrors have no taps.
+    `history` is the frame before's, which at rest tells how much blur is worth its error.
+    52 bytes a block: 36 read, 16 written; those of the taps are cached. Mirrors have no taps.
     """
     block = first + wp.tid()
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    state = wp.vec2(0.0, UNKNOWN)
+    words = lights.state[block]
+    state = unpack_state(words)
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
         view = views[0]
         light = load_reflection(part, lights, block)
-        state = unpack_state(lights.state[block])
         state[0] = load_root(part, state[0])
-        known = state[1] >= 0.0
-        centre = block_centre(view, gbuffer, options, blocks, block)
-        lobe = filter_lobe(view, gbuffer, options, part, centre)
+        centre = block_centre(view, gbuffer, options, blocks, state_lobe(words), block)
+        lobe = filter_lobe(view, gbuffer, options, part, history, centre)
         sigma = pass_sigma(options, part, lobe, light[3])
         spacing = float(part.spacing * options.stride)
-        if not known:
+        if state[1] < 0.0:
             sigma = wp.max(sigma, 0.5 * spacing)
         if sigma > NARROW * spacing:
             sum = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -292,30 +374,27 @@ def filter_blocks(
             confidence = float(0.0)
             column = block % options.columns
             row = block // options.columns
-            reach = part.radius * part.spacing
-            i = -reach
-            j = -reach
-            while j <= reach:
-                if in_grid(options, column + i, row + j):
-                    tap = filter_tap(options, blocks, centre, column + i, row + j)
-                    q = tap.block
-                    other = unpack_state(lights.state[q])
-                    if other[1] >= 0.0 and tap.near > 0.0:
-                        found = load_reflection(part, lights, q)
-                        w = tap_weight(
-                            view, gbuffer, options, part, samples, centre, lobe, tap, found[3], other[1])
+            i = -row_reach(part.radius, part.radius)
+            j = -part.radius
+            while j <= part.radius:
+                if in_grid(options, column + i * part.spacing, row + j * part.spacing):
+                    tap = filter_tap(
+                        options, blocks, lights, centre, column + i * part.spacing, row + j * part.spacing)
+                    if tap.confidence >= 0.0 and tap.near > 0.0:
+                        found = load_reflection(part, lights, tap.block)
+                        w = tap_weight(view, gbuffer, options, part, samples, centre, lobe, tap, found[3])
                         confidence = wp.max(confidence, w[1])
                         weight = w[0] * gaussian(tap, sigma)
                         sum += found * weight
-                        square += sqr(load_root(part, other[0])) * weight
+                        square += sqr(load_root(part, tap.root)) * weight
                         total += weight
-                i += part.spacing
-                if i > reach:
-                    i = -reach
-                    j += part.spacing
+                i += 1
+                if i > row_reach(part.radius, j):
+                    j += 1
+                    i = -row_reach(part.radius, j)
             if total > WEIGHT_NONE:
                 scale = 1.0 / total
                 light = sum * scale
                 state = wp.vec2(wp.sqrt(square * scale), confidence)
     lights_out.light[block] = pack_halves(light)
-    lights_out.state[block] = pack_state(state[0], state[1])
+    lights_out.state[block] = pack_state(state[0], state[1], state_lobe(words))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reflection samples in the few words that their filter reads, and the surface that takes light from them."""
+"""Reflection samples in the few words that their filter reads, their means, and the surface that takes light."""
 
 from __future__ import annotations
 
@@ -32,31 +32,42 @@ JITTER_MAX = wp.constant(63.0)
 
 # Confidence of a block whose light means nothing.
 UNKNOWN = wp.constant(-1.0)
-# Bits of ReflectionBlocks.lobe that hold the roughness.
+# Bits of state_lobe that hold the roughness.
 ROUGHNESS_MASK = wp.constant(wp.uint32(65535))
 
 
 @wp.struct
 class ReflectionBlocks:
-    """Where and on what each block was sampled: 13 bytes a block."""
+    """Where and on what each block was sampled: 9 bytes a block."""
 
     surface: wp.array[wp.uint64]
     """Bits of the depth [m] (SKY_DEPTH: no sample) | pack_normal of the shading normal << 32"""
-    lobe: wp.array[wp.uint32]
-    """Roughness that filters go by (unorm16) | column << 16 | row << 24 of the pixel in the block"""
     mark: wp.array[wp.uint8]
     """MARK_* | jitter of the last filter << JITTER_SHIFT"""
 
 
 @wp.struct
 class ReflectionLight:
-    """Reflected light on its way through the filter, a block or a pixel: 12 bytes."""
+    """Reflected light on its way through the filter, a block or a pixel: 16 bytes in two words."""
 
     light: wp.array[wp.uint64]
     """pack_halves: demodulated radiance, exposed; w = mean of 1 / distance to the hit [1/m]"""
-    state: wp.array[wp.uint32]
-    """Two half-floats: root mean square of the light's strength (after the last pass its standard deviation), and
-    how much of a sample of its own this is, 0..1 (UNKNOWN: nothing is known)"""
+    state: wp.array[wp.uint64]
+    """Of blocks: two half-floats, root mean square of the light's strength and how much of a sample of its own this
+    is, 0..1 (UNKNOWN: nothing is known) | what was sampled << 32: roughness that filters go by (unorm16) | column
+    << 16 | row << 24 of the pixel in the block. Of pixels, after the last pass, pack_halves: standard deviation of the
+    strength around, the same confidence, mean of the strength around, the confidence of an average frame"""
+
+
+@wp.struct
+class ReflectionHistory:
+    """What a frame leaves of reflections for the next: 16 bytes a pixel."""
+
+    light: wp.array[wp.uint64]
+    """pack_mean of demodulated radiance, exposed; 0 where nothing is sampled"""
+    state: wp.array[wp.uint64]
+    """pack_halves: frames in the mean (negative: the light is changing); short mean and standard deviation of the
+    strength; closeness (1 / distance) of what is seen"""
 
 
 @wp.func
@@ -66,15 +77,22 @@ def light_strength(color: wp.vec3) -> float:
 
 
 @wp.func
-def pack_state(square_mean: float, confidence: float) -> wp.uint32:
-    """Pack ReflectionLight.state."""
-    return half_bits(square_mean) | (half_bits(confidence) << wp.uint32(16))
+def pack_state(root: float, confidence: float, lobe: wp.uint32) -> wp.uint64:
+    """Pack a block's ReflectionLight.state."""
+    return wp.uint64(half_bits(root) | (half_bits(confidence) << wp.uint32(16))) | (wp.uint64(lobe) << wp.uint64(32))
 
 
 @wp.func
-def unpack_state(packed: wp.uint32) -> wp.vec2:
-    """Return both numbers of ReflectionLight.state."""
-    return wp.vec2(low_half(packed), high_half(packed))
+def unpack_state(packed: wp.uint64) -> wp.vec2:
+    """Return root mean square and confidence in a block's ReflectionLight.state."""
+    low = wp.uint32(packed & wp.uint64(0xFFFFFFFF))
+    return wp.vec2(low_half(low), high_half(low))
+
+
+@wp.func
+def state_lobe(packed: wp.uint64) -> wp.uint32:
+    """Return roughness and place of the pixel in a block's ReflectionLight.state."""
+    return wp.uint32(packed >> wp.uint64(32))
 
 
 @wp.func
@@ -91,7 +109,7 @@ def block_normal(packed: wp.uint64) -> wp.uint32:
 
 @wp.func
 def block_roughness(lobe: wp.uint32) -> float:
-    """Return the roughness in ReflectionBlocks.lobe."""
+    """Return the roughness in state_lobe."""
     return float(lobe & ROUGHNESS_MASK) * 1.5259022e-5
 
 
@@ -133,6 +151,8 @@ class FilterCentre:
     plane: PixelPlane
     normal: wp.vec3
     """Shading normal"""
+    packed: wp.uint32
+    """pack_normal of it"""
     roughness: float
     """As filters go by"""
 
@@ -147,19 +167,25 @@ def filter_centre(
     c.y = pixel // width
     c.plane = pixel_plane(view, gbuffer, width, pixel)
     c.normal = unit_normal(normal)
+    c.packed = normal
     c.roughness = roughness
     return c
 
 
 @wp.func
 def block_centre(
-    view: View, gbuffer: GBuffer, options: ReflectionOptions, blocks: ReflectionBlocks, block: int,
+    view: View, gbuffer: GBuffer, options: ReflectionOptions, blocks: ReflectionBlocks, lobe: wp.uint32, block: int,
 ) -> FilterCentre:
-    """Return the centre at a block's sample, which there must be."""
-    lobe = blocks.lobe[block]
+    """Return the centre at a block's sample, which there must be; `lobe` is its state_lobe."""
     return filter_centre(
         view, gbuffer, options.width, block_pixel(options, lobe, block), block_normal(blocks.surface[block]),
         block_roughness(lobe))
+
+
+@wp.func
+def row_reach(radius: int, row: int) -> int:
+    """Return how many taps to each side a row of a kernel has: 3x3 taps, or from radius 2 on the 13 of a diamond."""
+    return wp.where(radius < 2, radius, radius - wp.abs(row))
 
 
 @wp.func
@@ -176,26 +202,38 @@ class FilterTap:
     dx: int
     """From the centre's pixel to the sample's [px]"""
     dy: int
+    depth: float
+    """Along the view axis [m]"""
     near: float
     """1 in the centre's plane, falling to 0 a pixel's width off it or where there is no surface"""
     normal: wp.uint32
     """pack_normal"""
     roughness: float
+    root: float
+    """Root mean square of its light's strength"""
+    confidence: float
+    """As in ReflectionLight.state"""
 
 
 @wp.func
 def filter_tap(
-    options: ReflectionOptions, blocks: ReflectionBlocks, centre: FilterCentre, column: int, row: int,
+    options: ReflectionOptions, blocks: ReflectionBlocks, lights: ReflectionLight, centre: FilterCentre, column: int,
+    row: int,
 ) -> FilterTap:
     """Return where the block at a place in the grid was sampled, as seen from a centre."""
     tap = FilterTap()
-    # Read millions of times: no divisions.
+    # Read millions of times: no divisions, two words.
     tap.block = row * options.columns + column
     packed = blocks.surface[tap.block]
-    lobe = blocks.lobe[tap.block]
+    words = lights.state[tap.block]
+    lobe = state_lobe(words)
+    state = unpack_state(words)
+    tap.root = state[0]
+    tap.confidence = state[1]
     tap.dx = column * options.stride + block_column(lobe) - centre.x
     tap.dy = row * options.stride + block_row(lobe) - centre.y
-    tap.near = surface_weight(centre.plane, tap.dx, tap.dy, block_depth(packed))
+    tap.depth = block_depth(packed)
+    tap.near = surface_weight(centre.plane, tap.dx, tap.dy, tap.depth)
     tap.normal = block_normal(packed)
     tap.roughness = block_roughness(lobe)
     return tap
@@ -235,6 +273,5 @@ def gather_samples(
                 light = rgba(color, 1.0 / wp.clamp(found[3], 1.0 / SAMPLE_FAR, SAMPLE_FAR))
                 confidence = float(1.0)
     blocks_out.surface[block] = wp.uint64(wp.cast(depth, wp.uint32)) | (wp.uint64(normal) << wp.uint64(32))
-    blocks_out.lobe[block] = lobe
     lights_out.light[block] = pack_halves(light)
-    lights_out.state[block] = pack_state(light_strength(rgb(light)), confidence)
+    lights_out.state[block] = pack_state(light_strength(rgb(light)), confidence, lobe)

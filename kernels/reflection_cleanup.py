@@ -30,6 +30,8 @@ from .reflection_blocks import (
     in_grid,
     light_strength,
     pack_state,
+    row_reach,
+    state_lobe,
     unpack_state,
 )
 from .reflection_types import ReflectionOptions
@@ -42,6 +44,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # than the second (so that a spark is at least four times their ninth decile).
 NEAR_SHARE = wp.constant(0.25)
 NEAR_NEIGHBORS = wp.constant(0.1)
+# Blocks that neighbours are at most away: a diamond of 12.
+REACH = wp.constant(2)
 # Neighbours of the same surface without which there is nothing to compare with.
 NEIGHBORS_MINIMUM = wp.constant(8.0)
 # Frames at rest in which the threshold doubles, and after which nothing is a spark any more.
@@ -86,18 +90,19 @@ def spread_weight(centre: FilterCentre, tap: FilterTap, i: int, j: int) -> float
 
 @wp.func
 def store_mark(
-    mark: int, light: wp.vec4, state: wp.vec2, excess: wp.vec3, block: int, mark_out: wp.array[wp.uint8],
+    mark: int, light: wp.vec4, state: wp.uint64, excess: wp.vec3, block: int, mark_out: wp.array[wp.uint8],
     lights_out: ReflectionLight, excess_out: wp.array[wp.uint64],
 ):
     """Write what mark_samples finds."""
     mark_out[block] = wp.uint8(mark)
     lights_out.light[block] = pack_halves(light)
-    lights_out.state[block] = pack_state(state[0], state[1])
+    # The root mean square stays the spark's: spread light is as noisy.
+    lights_out.state[block] = state
     if (mark & MARK_SPARK) != 0:
         excess_out[block] = pack_halves(rgba(excess, 0.0))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def mark_samples(
     first: int,
     # In:
@@ -114,7 +119,7 @@ def mark_samples(
 ):
     """Find sparks and missing samples, and how uneven the roughness is around; banded over blocks.
 
-    37 bytes a block and those of 5x5 blocks (cached).
+    41 bytes a block and those of 13 blocks (cached).
 
     In detail:
         first: Of the band.
@@ -125,12 +130,12 @@ def mark_samples(
     block = first + wp.tid()
     mark = int(0)
     light = unpack_halves(lights.light[block])
-    state = unpack_state(lights.state[block])
+    state = lights.state[block]
     excess = wp.vec3(0.0, 0.0, 0.0)
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
-        centre = block_centre(views[0], gbuffer, options, blocks, block)
+        centre = block_centre(views[0], gbuffer, options, blocks, state_lobe(state), block)
         own = light_strength(rgb(light))
-        rest = views[0].rest
+        rest = wp.min(views[0].rest, views[0].light_age)
         threshold = spark_threshold(own, rest)
         near = float(0.0)
         count = float(0.0)
@@ -140,27 +145,28 @@ def mark_samples(
         spread = float(1.0)
         column = block % options.columns
         row = block // options.columns
-        index = int(0)
-        while index < 25:
-            i = index % 5 - 2
-            j = index // 5 - 2
-            if index != 12 and in_grid(options, column + i, row + j):
-                tap = filter_tap(options, blocks, centre, column + i, row + j)
-                q = tap.block
+        i = int(0)
+        j = int(-REACH)
+        while j <= REACH:
+            if in_grid(options, column + i, row + j) and (i != 0 or j != 0):
+                tap = filter_tap(options, blocks, lights, centre, column + i, row + j)
                 if tap.near > 0.0:
                     rough += wp.vec3(tap.roughness, tap.roughness * tap.roughness, 1.0)
                     w = spread_weight(centre, tap, i, j)
-                    if unpack_state(lights.state[q])[1] > 0.0 and w > 0.0:
+                    if tap.confidence > 0.0 and w > 0.0:
                         count += 1.0
                         spread += w
-                        other = unpack_halves(lights.light[q])
+                        other = unpack_halves(lights.light[tap.block])
                         if light_strength(rgb(other)) > threshold:
                             near += 1.0
                         else:
                             sum += other * w
                             total += w
-            index += 1
-        if state[1] < 0.0:
+            i += 1
+            if i > row_reach(REACH, j):
+                j += 1
+                i = -row_reach(REACH, j)
+        if unpack_state(state)[1] < 0.0:
             mark = MARK_MISSING
         elif (
             cleanup == 1 and own > 0.0 and rest < SPARK_FRAMES and count >= NEIGHBORS_MINIMUM
@@ -169,13 +175,12 @@ def mark_samples(
             mark = MARK_SPARK
             mixed = rgb(sum) / total
             excess = (rgb(light) - mixed) / spread
-            # The root mean square stays the spark's: spread light is as noisy.
             light = rgba(mixed, light[3])
         mark = mark | (uneven_roughness(rough) << JITTER_SHIFT)
     store_mark(mark, light, state, excess, block, mark_out, lights_out, excess_out)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def clean_samples(
     first: int,
     # In:
@@ -190,12 +195,13 @@ def clean_samples(
 ):
     """Replace missing samples by the mean of their neighbours, give out what sparks had; banded over blocks.
 
-    24 bytes a block and the marks of 5x5 blocks; more of those around what is missing or sparkles. What is replaced has
+    32 bytes a block and the marks of 13 blocks; more of those around what is missing or sparkles. What is replaced has
     the confidence 0; where all neighbours are missing too, it stays unknown.
     """
     block = first + wp.tid()
     light = unpack_halves(lights.light[block])
-    state = unpack_state(lights.state[block])
+    words = lights.state[block]
+    state = unpack_state(words)
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
         missing = (int(blocks.mark[block]) & MARK_MISSING) != 0
         centre = FilterCentre()
@@ -206,26 +212,28 @@ def clean_samples(
         total = float(0.0)
         column = block % options.columns
         row = block // options.columns
-        index = int(0)
-        while index < 25:
-            i = index % 5 - 2
-            j = index // 5 - 2
+        i = int(0)
+        j = int(-REACH)
+        while j <= REACH:
             if in_grid(options, column + i, row + j):
                 q = block + j * options.columns + i
                 mark = int(blocks.mark[q])
                 if (mark & MARK_SPARK) != 0 or (missing and (mark & MARK_MISSING) == 0):
                     if not made:
-                        centre = block_centre(views[0], gbuffer, options, blocks, block)
+                        centre = block_centre(views[0], gbuffer, options, blocks, state_lobe(words), block)
                         made = True
-                    w = spread_weight(centre, filter_tap(options, blocks, centre, column + i, row + j), i, j)
+                    tap = filter_tap(options, blocks, lights, centre, column + i, row + j)
+                    w = spread_weight(centre, tap, i, j)
                     if w > 0.0 and (mark & MARK_SPARK) != 0:
                         given += rgb(unpack_halves(excess[q])) * w
                     if w > 0.0 and missing:
-                        root = unpack_state(lights.state[q])[0]
                         sum += unpack_halves(lights.light[q]) * w
-                        square += root * root * w
+                        square += tap.root * tap.root * w
                         total += w
-            index += 1
+            i += 1
+            if i > row_reach(REACH, j):
+                j += 1
+                i = -row_reach(REACH, j)
         if missing and total > 1.0e-3:
             light = sum / total
             state = wp.vec2(wp.sqrt(square / total), 0.0)
@@ -234,4 +242,4 @@ def clean_samples(
             light = rgba(rgb(light) + given, light[3])
             state[0] = state[0] + wp.max(light_strength(rgb(light)) - strength, 0.0)
     lights_out.light[block] = pack_halves(light)
-    lights_out.state[block] = pack_state(state[0], state[1])
+    lights_out.state[block] = pack_state(state[0], state[1], state_lobe(words))

@@ -10,10 +10,17 @@ from .denoise_debug import length_color
 from .long_mean import unpack_mean
 from .packed_halves import unpack_first, unpack_halves
 from .packing import rgb, rgba
-from .reflection_blocks import MARK_MISSING, MARK_SPARK, ReflectionBlocks, ReflectionLight, light_strength
-from .reflection_sources import ReflectionHistory
+from .reflection_blocks import (
+    MARK_MISSING,
+    MARK_SPARK,
+    ReflectionBlocks,
+    ReflectionHistory,
+    ReflectionLight,
+    block_depth,
+    light_strength,
+)
 from .reflection_types import ReflectionOptions, block_of
-from .view import View
+from .view import SKY_DEPTH, View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -75,7 +82,7 @@ def show_marked_samples(
     pixel = first + wp.tid()
     block = block_of(options, pixel)
     color = wp.vec3(0.0, 0.0, 0.0)
-    if blocks.lobe[block] != wp.uint32(0):
+    if block_depth(blocks.surface[block]) < SKY_DEPTH:
         color = wp.vec3(0.1, 0.1, 0.1)
     mark = int(blocks.mark[block])
     if (mark & MARK_SPARK) != 0:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reflections of rough surfaces, looked up in the screen probes (Eto et al. 2023, section 2.2).
 
-A block's sample is one direction of its pixel's lobes; the light that arrives from there is the mean of what the
-probes around know of the point seen, found through the distances that they store. Each probe's 8 x 8 cells are read
-bilinearly, so that their borders (18 degrees apart) don't show. The weights of the probes that know the direction add
-up to 1 and the lobe's value over density and albedo has mean 1, so a white sky stays white.
+A block's sample is one direction of its pixel's lobes; the light that arrives from there is what one of the probes
+around, chosen by its weight, knows of the point seen, found through the distances that they store. Each probe's 8 x 8
+cells are read bilinearly, so that their borders (18 degrees apart) don't show. The chances of the probes that know the
+direction add up to 1 and the lobe's value over density and albedo has mean 1, so a white sky stays white.
 """
 
 from __future__ import annotations
@@ -118,11 +118,18 @@ def aimed_value(maps: wp.array[wp.uint64], slot: int, offset: wp.vec3, local: wp
 @wp.func
 def arriving_light(
     grid: ProbeGrid, records: wp.array[wp.uint64], pool: ProbePool, maps: wp.array[wp.uint64], p: Place, tile: int,
-    direction: wp.vec3,
+    direction: wp.vec3, pick: float,
 ) -> wp.vec4:
-    """Return exposed radiance and distance that arrive at a pixel's surface from a direction; w < 0: no probe knows."""
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    """Return exposed radiance and distance that arrive at a pixel's surface from a direction; w < 0: no probe knows.
+
+    Of the probes that know the direction one is asked, chosen with `pick` by its weight: its mean is that of all of
+    them, and following the direction to the point seen costs far more than the weights.
+    """
     weight = float(0.0)
+    rest = pick
+    chosen = int(-1)
+    offset = wp.vec3(0.0, 0.0, 0.0)
+    aim = wp.vec3(0.0, 0.0, 1.0)
     i = int(0)
     while i < 9:
         other = neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1)
@@ -141,12 +148,20 @@ def arriving_light(
                     xy = unpack_floats(records[base + 1])
                     center = wp.vec3(xy[0], xy[1], unpack_floats(records[base + 2])[0])
                     w = w * unpack_halves(records[base + RECORD_BANDS])[3]
-                    offset = to_local(n, p.surface.position - center)
-                    total = total + aimed_value(maps, int(facing >> wp.uint64(32)), offset, local) * w
                     weight = weight + w
-    if weight <= 0.0:
+                    # One number chooses among all: what it has left of its range goes on to the next.
+                    share = w / weight
+                    if rest < share:
+                        rest = rest / share
+                        chosen = int(facing >> wp.uint64(32))
+                        offset = to_local(n, p.surface.position - center)
+                        aim = local
+                    else:
+                        rest = (rest - share) / (1.0 - share)
+    if chosen < 0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    return rgba(rgb(total) / weight, weight / total[3])
+    found = aimed_value(maps, chosen, offset, aim)
+    return rgba(rgb(found), 1.0 / found[3])
 
 
 @wp.func
@@ -205,7 +220,7 @@ def look_up_probes(
     light = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
     if wp.length_sq(factor) > 0.0:
         tile = (pixel // options.width // TILE) * grid.tile_columns + pixel % options.width // TILE
-        light = arriving_light(grid, records, pool, maps, bare_place(view, grid, s, pixel), tile, wi)
+        light = arriving_light(grid, records, pool, maps, bare_place(view, grid, s, pixel), tile, wi, pick[1])
         if light[3] < 0.0:
             light = rgba(rgb(from_half(irradiance[pixel])) * float(ratio[pixel]), SAMPLE_FAR)
     drawn = wp.max(drawn_pdf(lobes, wi), PDF_MIN)

@@ -26,6 +26,12 @@ from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+# Samples in a cell from which on its mean stands in for a hit's own light.
+CELL_SAMPLES = wp.constant(8.0)
+# Frames at rest over which hits of sharp reflections go over from their cells' means to their own light.
+OWN_START = wp.constant(8.0)
+OWN_END = wp.constant(48.0)
+
 
 @wp.func
 def lobe_width(pdf: float, t: float) -> float:
@@ -53,7 +59,11 @@ def hit_light(
     view: View, grid: HashGrid, paths: Paths, vertices: Vertices, rays: ReflectionRays, slot: int, own_light: int,
     jitter: int,
 ) -> wp.vec3:
-    """Return irradiance / pi at a ray's hit."""
+    """Return irradiance / pi at a ray's hit.
+
+    One shadow ray is noise that sharp reflections show while the camera moves, so until it has rested for a while they
+    show cells too, but not where the ray is so short that the cell would be seen beside what it lights.
+    """
     position = rgb(vertices.position[slot])
     normal = unpack_normal(vertices.geometric_normal[slot])
     direction = paths.direction[slot]
@@ -61,11 +71,14 @@ def hit_light(
     size = cell_size(cell_level(grid, view.camera, position, seed))
     length = vertices.emission[slot][3]
     # A lobe narrower than a cell would show it.
-    wide = paths.t[slot] > size and lobe_width(paths.pdf[slot], length) > size
+    wide = lobe_width(paths.pdf[slot], length) > size
     if rays.found[slot] == FOUND_DIRECT:
         return rgb(paths.radiance[slot])
+    own = wp.clamp((float(view.rest) - OWN_START) / (OWN_END - OWN_START), 0.0, 1.0)
+    if wide:
+        own = float(0.0)
     cell = int(NO_CELL)
-    if wide or own_light == 0:
+    if (own < 1.0 and paths.t[slot] > size) or own_light == 0:
         if jitter == 1:
             cell = find_lit_cell(grid, view, position, normal, direction, seed)
         else:
@@ -74,9 +87,16 @@ def hit_light(
     rays.found[slot] = FOUND_OWN
     if own_light == 0:
         direct = wp.vec3(0.0, 0.0, 0.0)
+        own = float(0.0)
+    known = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if cell != NO_CELL:
-        direct = rgb(grid.direct[cell])
-        rays.found[slot] = FOUND_CELL
+        known = grid.direct[cell]
+        if not wide and own_light == 1 and known[3] < CELL_SAMPLES:
+            cell = NO_CELL
+    if cell != NO_CELL:
+        direct = wp.lerp(rgb(known), direct, own)
+        if own < 0.5:
+            rays.found[slot] = FOUND_CELL
     else:
         cell = vertices.cell[slot]
     return direct + indirect_light(grid, view, cell, position, normal, direction, seed)

@@ -24,7 +24,7 @@ from .long_mean import (
 )
 from .packed_halves import unpack_halves
 from .packing import rgb
-from .reflection_blocks import light_strength
+from .reflection_blocks import ReflectionHistory, light_strength
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, fading
 from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import (
@@ -44,7 +44,9 @@ DISTANCE_FRAMES = wp.constant(8.0)
 MARGIN = wp.constant(0.05)
 # Roughness up to which the virtual image is preferred, and over which the preference moves to the surface.
 VIRTUAL_ROUGHNESS = wp.constant(0.1)
-VIRTUAL_BLEND = wp.constant(0.5)
+VIRTUAL_BLEND = wp.constant(0.35)
+# Roughness up to which means are read with the sharp interpolation: rougher reflections have nothing that would blur.
+SHARP_ROUGHNESS = wp.constant(0.3)
 # Least share of either source, before the scores.
 SOURCE_MINIMUM = wp.constant(0.02)
 # What another pixel of the frame before must have for the virtual image to be seen in it: squared cosine of the
@@ -53,17 +55,6 @@ IMAGE_COSINE2 = wp.constant(0.9)
 IMAGE_DEPTH = wp.constant(0.05)
 IMAGE_PLANE = wp.constant(2.0)
 IMAGE_ROUGHNESS = wp.constant(0.1)
-
-
-@wp.struct
-class ReflectionHistory:
-    """What a frame leaves of reflections for the next: 16 bytes a pixel."""
-
-    light: wp.array[wp.uint64]
-    """pack_mean of demodulated radiance, exposed; 0 where nothing is sampled"""
-    state: wp.array[wp.uint64]
-    """pack_halves: frames in the mean (negative: the light is changing); short mean and standard deviation of the
-    strength; closeness (1 / distance) of what is seen"""
 
 
 @wp.struct
@@ -104,7 +95,8 @@ def with_reflection_state(m: ReflectionMean, state: wp.vec4) -> ReflectionMean:
 
 @wp.func
 def gather_reflection(
-    history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
+    history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, sharp: bool, width: int,
+    height: int,
 ) -> ReflectionMean:
     """Return the mean of the frame before at a place; its length is 0 where there is none."""
     m = no_reflection()
@@ -122,7 +114,7 @@ def gather_reflection(
     state = wp.vec4(0.0, 0.0, 0.0, 0.0)
     total = float(0.0)
     changed = float(0.0)
-    complete = int(taps) == ALL_TAPS
+    complete = sharp and int(taps) == ALL_TAPS
     for tap in range(4):
         w = usable_weight(position, taps, tap)
         if w > 0.0:
@@ -146,11 +138,13 @@ def gather_reflection(
 
 
 @wp.func
-def image_position(view: View, width: int, pixel: int, depth: float, closeness: float) -> wp.vec2:
+def image_position(views: wp.array[View], width: int, pixel: int, depth: float, closeness: float) -> wp.vec2:
     """Return where in the frame before the virtual image of what a pixel reflects was: film-local [px].
 
     The image lies on the ray of view, behind the surface by the distance of what is reflected, as in a flat mirror.
     """
+    # Read where it is needed: held for long, its matrices would fill the registers.
+    view = views[0]
     x = pixel % width
     y = pixel // width
     point = unproject(view.camera, film_position(view, x, y), depth)
@@ -172,9 +166,10 @@ def surface_roughness(gbuffer: GBuffer, pixel: int) -> float:
 
 @wp.func
 def image_taps(
-    view: View, gbuffer: GBuffer, previous: GBuffer, width: int, height: int, pixel: int, position: wp.vec2,
+    views: wp.array[View], gbuffer: GBuffer, previous: GBuffer, width: int, height: int, pixel: int, position: wp.vec2,
 ) -> wp.uint8:
     """Return which of the four pixels around a place in the frame before show a surface like a pixel's."""
+    view = views[0]
     left = int(wp.floor(position[0] - 0.5))
     low = int(wp.floor(position[1] - 0.5))
     point = unproject(
@@ -185,7 +180,8 @@ def image_taps(
     tolerance = IMAGE_PLANE * pixel_footprint(view.camera, gbuffer.depth[pixel])
     roughness = surface_roughness(gbuffer, pixel)
     taps = int(0)
-    for tap in range(4):
+    tap = int(0)
+    while tap < 4:
         i = left + (tap & 1)
         j = low + (tap >> 1)
         if i >= 0 and j >= 0 and i < width and j < height:
@@ -199,6 +195,7 @@ def image_taps(
             alike = alike and squared_cosine(normal, previous.normal[q]) > IMAGE_COSINE2
             if alike and there < SKY_DEPTH:
                 taps = taps | (1 << tap)
+        tap += 1
     return wp.uint8(taps)
 
 
@@ -225,7 +222,7 @@ def blended(surface: ReflectionMean, image: ReflectionMean, share: float) -> Ref
 
 @wp.func
 def gather_sources(
-    view: View, gbuffer: GBuffer, previous: GBuffer, reprojection: Reprojection, options: ReflectionOptions,
+    views: wp.array[View], gbuffer: GBuffer, previous: GBuffer, reprojection: Reprojection, options: ReflectionOptions,
     history: ReflectionHistory, pixel: int, roughness: float, light: wp.vec4, deviation: float,
 ) -> ReflectionMean:
     """Return the mean of the frame before, from where the surface and where the virtual image was.
@@ -236,22 +233,25 @@ def gather_sources(
     """
     width = options.width
     position = reprojection.position[pixel]
-    surface = gather_reflection(history, previous, position, reprojection.taps[pixel], width, options.height)
-    # The image of a mirror that moves moves otherwise; at rest both places are one.
-    if view.rest > 0 or (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0):
-        return surface
+    taps = reprojection.taps[pixel]
     smooth = fading(roughness, VIRTUAL_ROUGHNESS, VIRTUAL_BLEND)
+    # The image of a mirror that moves moves otherwise; at rest both places are one.
+    twofold = views[0].rest == 0 and smooth > 0.0 and (gbuffer.material[pixel] & SURFACE_MOVED) == wp.uint32(0)
+    sharp = roughness < SHARP_ROUGHNESS
+    surface = gather_reflection(history, previous, position, taps, sharp, width, options.height)
+    if not twofold:
+        return surface
     closeness = light[3]
     if surface.length > 0.0:
         closeness = wp.lerp(surface.closeness, closeness, wp.max(smooth, 1.0 / DISTANCE_FRAMES))
-    there = image_position(view, width, pixel, gbuffer.depth[pixel], closeness)
+    there = image_position(views, width, pixel, gbuffer.depth[pixel], closeness)
     apart = there - position
     if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
         return surface
-    taps = image_taps(view, gbuffer, previous, width, options.height, pixel, there)
+    taps = image_taps(views, gbuffer, previous, width, options.height, pixel, there)
     if taps == wp.uint8(0):
         return surface
-    image = gather_reflection(history, previous, there, taps, width, options.height)
+    image = gather_reflection(history, previous, there, taps, sharp, width, options.height)
     if image.length <= 0.0:
         return surface
     if surface.length <= 0.0:

@@ -16,11 +16,10 @@ from .geometry_math import is_finite3, max_component
 from .long_mean import EDIT_FRAMES, history_cap, pack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
-from .reflection_blocks import ReflectionLight, filter_roughness, light_strength, unpack_state
+from .reflection_blocks import ReflectionHistory, ReflectionLight, filter_roughness, light_strength
 from .reflection_sources import (
     DISTANCE_FRAMES,
     MARGIN,
-    ReflectionHistory,
     ReflectionMean,
     gather_sources,
     no_reflection,
@@ -36,13 +35,18 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 FAST_FRAMES = wp.constant(6.0)
 # Frames that the deviation is averaged over at most.
 DEVIATION_FRAMES = wp.constant(64.0)
-# Of the frames since light began to spread, those that a mean may reach back: the first lack most of its bounces.
+# Of the frames since light began to spread, those that a mean may reach back: the first lack most of its bounces. After
+# so many frames it has spread.
 SETTLING_SHARE = wp.constant(0.5)
+SETTLED_FRAMES = wp.constant(64.0)
 # Standard errors by which means must differ for a change to be seen, and for one that was seen to go on.
 CHANGE_DEVIATIONS = wp.constant(2.5)
 CHANGING_DEVIATIONS = wp.constant(1.0)
-# Frames at rest after which neither changes nor ghosts are looked for: what looks like one is chance.
+# Frames at rest after which changes are not looked for: what looks like one is chance.
 REST_FRAMES = wp.constant(16.0)
+# Frames at rest after which means are not kept near a frame's light any more: what came along from motion has gone.
+CLAMP_FRAMES = wp.constant(4.0)
+KNOWN_FRAMES = wp.constant(8.0)
 # Confidence of a frame that brought nothing of this pixel's own, while the mean is shorter than so many frames.
 START_CONFIDENCE = wp.constant(0.05)
 START_FRAMES = wp.constant(2.0)
@@ -53,17 +57,26 @@ EDIT_LENGTH = wp.constant(0.01)
 
 
 @wp.func
-def clamped(m: ReflectionMean, color: wp.vec3, deviation: float, limit: float) -> ReflectionMean:
-    """Return the mean drawn towards a frame's light, until it differs by no more than `limit` deviations.
+def clamped(m: ReflectionMean, color: wp.vec3, mean: float, deviation: float, limit: float) -> ReflectionMean:
+    """Return the mean kept within `limit` deviations of the light around in this frame, its hue of this frame's.
 
-    The deviation is the larger of the one around in this frame and the one over frames: where light comes in rare
-    bright samples, a frame without any must not take what the mean has of them.
+    By the mean around, not by this pixel's light: where light comes in rare bright samples, that would throw out what
+    the mean has of them, and lose some of it. The deviation is the larger of the one around and the one over frames.
     """
     out = m
-    apart = max_component(wp.abs(m.light - color))
-    allowed = limit * wp.max(deviation, m.deviation) + MARGIN * light_strength(color)
-    if apart > allowed:
-        out.light = wp.lerp(color, m.light, allowed / apart)
+    allowed = limit * wp.max(deviation, m.deviation) + MARGIN * mean
+    slow = light_strength(m.light)
+    strength = light_strength(color)
+    if slow > mean + allowed:
+        out.light = m.light * ((mean + allowed) / slow)
+    elif slow < mean - allowed and strength > 0.0:
+        out.light = m.light + color * ((mean - allowed - slow) / strength)
+    slow = light_strength(out.light)
+    if strength > 0.0:
+        alike = color * (slow / strength)
+        apart = max_component(wp.abs(out.light - alike))
+        if apart > allowed:
+            out.light = wp.lerp(alike, out.light, allowed / apart)
     return out
 
 
@@ -107,7 +120,7 @@ def add_reflection(
     return out
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def accumulate_reflections(
     first: int,
     # In:
@@ -134,30 +147,36 @@ def accumulate_reflections(
         frames: Cap of the mean's length in motion.
         limit: Deviations around this frame's light that the mean is kept within; 0: any.
 
-    89 bytes a pixel that reflects: 73 read (material 36, reprojection 9, light 12, history 16 from one pixel, or while
+    73 bytes a pixel that reflects: 57 read (material 16, reprojection 9, light 16, history 16 from one pixel, or while
     the camera moves from two places of up to 12), 16 written.
     """
     pixel = first + wp.tid()
-    view = views[0]
     m = no_reflection()
     material = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material):
+        view = views[0]
         light = unpack_halves(lights.light[pixel])
-        state = unpack_state(lights.state[pixel])
+        state = unpack_halves(lights.state[pixel])
         known = state[1] >= 0.0 and is_finite3(rgb(light))
         if view.restart == 0 and temporal == 1:
             m = gather_sources(
-                view, gbuffer, previous_gbuffer, reprojection, options, history, pixel, filter_roughness(material),
+                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, filter_roughness(material),
                 light, wp.where(known, state[0], 1.0e4))
         if view.light_age == 0:
             m.length = wp.min(m.length, EDIT_LENGTH)
         if known:
             confidence = wp.max(state[1], START_CONFIDENCE * wp.clamp(1.0 - m.length / START_FRAMES, 0.0, 1.0))
             moving = wp.clamp(1.0 - float(view.rest) / REST_FRAMES, 0.0, 1.0)
-            if limit > 0.0 and moving > 0.0 and m.length > 0.0 and state[1] > TELLING:
-                m = clamped(m, rgb(light), state[0], limit / moving)
+            near = wp.clamp(1.0 - float(view.rest) / CLAMP_FRAMES, 0.0, 1.0)
+            # Means of a few frames know no deviation to go by.
+            near *= wp.clamp(m.length / KNOWN_FRAMES, 0.0, 1.0)
+            if limit > 0.0 and near > 0.0 and state[1] > TELLING:
+                m = clamped(m, rgb(light), state[2], state[0], limit / near)
+            settling = settling_frames(view)
+            settled = wp.max(SETTLING_SHARE * settling, settling - SETTLED_FRAMES)
+            # Mirrors get a sample of their own only in their turn: as many frames are fewer samples there.
             cap = wp.min(
-                history_cap(view.rest, view.light_age, frames), 1.0 + SETTLING_SHARE * settling_frames(view))
+                history_cap(view.rest, view.light_age, wp.max(frames * state[3], 1.0)), 1.0 + state[3] * settled)
             if view.light_age < EDIT_FRAMES:
                 # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
                 cap *= wp.max(confidence, START_CONFIDENCE)

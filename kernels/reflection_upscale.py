@@ -15,8 +15,11 @@ from .geometry_math import sqr
 from .packed_halves import pack_halves
 from .packing import rgb, rgba
 from .reflection_atrous import (
+    EXPONENT_MAX,
     WEIGHT_NONE,
+    FilterLobe,
     FilterPass,
+    angle_of_pixel,
     filter_lobe,
     gaussian,
     load_reflection,
@@ -30,14 +33,13 @@ from .reflection_blocks import (
     UNKNOWN,
     FilterTap,
     ReflectionBlocks,
+    ReflectionHistory,
     ReflectionLight,
     filter_centre,
     filter_roughness,
     filter_tap,
     in_grid,
     light_strength,
-    pack_state,
-    unpack_state,
 )
 from .reflection_types import ReflectionOptions, ReflectionSamples, block_of, is_sampled
 from .sampling import hash32, hash_combine, to_unit
@@ -48,9 +50,14 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 # Least width of the kernel in sides of a block: so that it always meets samples.
 SIGMA_MINIMUM = wp.constant(0.55)
-# Widths of the kernel in spacings of the taps that are meant, and above which two taps to each side are needed.
-SIGMA_SPACING = wp.constant(1.065)
-SIGMA_WIDE = wp.constant(0.8)
+# Spacing of the 3 x 3 taps in widths of the kernel, and by how much it varies from frame to frame.
+TAP_SPACING = wp.constant(1.2)
+SPACING_RANGE = wp.constant(0.6)
+# Spacing [blocks] from which on the taps turn from frame to frame: closer ones would fall together.
+TURN_SPACING = wp.constant(1.5)
+# The golden ratio's fractional part, and that of its square root's sister for a second sequence (plastic number).
+TURN_STEP = wp.constant(0.7548776662)
+SPACING_STEP = wp.constant(0.5698402910)
 # Distance [px^2] that a sample of another surface is put further away where none is of the same.
 OTHER_SURFACE = wp.constant(1.0e4)
 # Largest light that x / (1 + x) is turned back from, as a distance to 1.
@@ -72,14 +79,39 @@ class Upscaled:
 
 
 @wp.func
-def tap_jitter(options: ReflectionOptions, frame: int, pixel: int, mark: int, spacing: int) -> wp.vec2i:
+def tap_jitter(frame: int, pixel: int, mark: int, spacing: float) -> wp.vec2i:
     """Return by how many blocks the taps of a pixel are moved: up to half their spacing where roughness varies."""
     share = float(mark >> JITTER_SHIFT) / JITTER_MAX
     bits = hash_combine(hash32(wp.uint32(pixel)), wp.uint32(frame))
     u = to_unit(bits) - 0.5
     v = to_unit(hash32(bits)) - 0.5
-    width = share * float(spacing)
+    width = share * spacing
     return wp.vec2i(int(wp.round(u * width)), int(wp.round(v * width)))
+
+
+@wp.func
+def tap_axes(sigma: float, stride: float, frame: int) -> wp.vec2:
+    """Return the step to the right of a pixel's taps [blocks]; the step up is it turned by 90 degrees.
+
+    Wide kernels get by on 3 x 3 taps that lie elsewhere in each frame: their mean over frames is a whole kernel.
+    """
+    spacing = TAP_SPACING * sigma / stride
+    if spacing < TURN_SPACING:
+        return wp.vec2(wp.max(wp.round(spacing), 1.0), 0.0)
+    u = float(frame & 1023) * SPACING_STEP
+    spacing = wp.max(spacing * (1.0 + SPACING_RANGE * (u - wp.floor(u) - 0.5)), TURN_SPACING)
+    v = float(frame & 1023) * TURN_STEP
+    turn = 1.57079633 * (v - wp.floor(v))
+    return wp.vec2(spacing * wp.cos(turn), spacing * wp.sin(turn))
+
+
+@wp.func
+def sample_rate(options: ReflectionOptions, lobe: FilterLobe, closeness: float) -> float:
+    """Return how much of a sample of its own a frame brings a pixel on average: one in its turn, less from others."""
+    places = float(options.stride * options.stride)
+    moved = angle_of_pixel(lobe, closeness) * float(options.stride) / (2.0 * lobe.spread * lobe.reach)
+    overlap = wp.exp(-wp.min(moved * moved, EXPONENT_MAX))
+    return wp.lerp(1.0 / places, 1.0, overlap)
 
 
 @wp.func
@@ -119,18 +151,19 @@ def add_block(
 
 
 @wp.func
-def deviation_of(part: FilterPass, moments: wp.vec3, light: wp.vec4) -> float:
-    """Return the standard deviation of the strength around: of the surface, not of the lobe alone."""
+def around(part: FilterPass, moments: wp.vec3, light: wp.vec4) -> wp.vec2:
+    """Return standard deviation and mean of the strength around: of the surface, not of the lobe alone."""
     if moments[2] <= 0.0:
-        return 0.0
+        return wp.vec2(0.0, light_strength(rgb(expanded(part, light))))
     mean = moments[0] / moments[2]
     deviation = wp.sqrt(wp.max(moments[1] / moments[2] - mean * mean, 0.0))
     if part.ratio == 1:
-        return deviation
-    return deviation / sqr(wp.max(1.0 - light_strength(rgb(light)), COMPRESSED_MINIMUM))
+        return wp.vec2(deviation, mean)
+    rest = wp.max(1.0 - mean, COMPRESSED_MINIMUM)
+    return wp.vec2(deviation / sqr(rest), mean / rest)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def upscale_blocks(
     first: int,
     # In:
@@ -141,71 +174,71 @@ def upscale_blocks(
     samples: ReflectionSamples,
     blocks: ReflectionBlocks,
     lights: ReflectionLight,
+    history: ReflectionHistory,
     # Out:
     lights_out: ReflectionLight,
 ):
     """Filter the light of blocks into pixels; banded over pixels.
 
-    54 bytes a pixel that reflects: 42 read (surface and material 36, its share of the blocks 6; the taps are cached),
-    12 written.
+    60 bytes a pixel that reflects: 44 read (surface and material 36, its share of the blocks 8; the taps are cached),
+    16 written; 16 more are read at rest. 9 taps.
 
     In detail:
-        lights_out: `state` holds the standard deviation of the light around instead of its root mean square.
+        history: Of the frame before; at rest it tells how much blur is worth its error.
     """
     pixel = first + wp.tid()
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    state = wp.vec2(0.0, UNKNOWN)
+    state = wp.vec4(0.0, UNKNOWN, 0.0, 0.0)
     m = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, m):
         view = views[0]
         home = block_of(options, pixel)
         centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(m))
-        lobe = filter_lobe(view, gbuffer, options, part, centre)
+        lobe = filter_lobe(view, gbuffer, options, part, history, centre)
         stride = float(options.stride)
         closeness = load_reflection(part, lights, home)[3]
         sigma = wp.max(pass_sigma(options, part, lobe, closeness), SIGMA_MINIMUM * stride)
-        spacing = wp.clamp(int(sigma / (SIGMA_SPACING * stride) + 0.5), 1, part.spacing)
-        radius = wp.where(sigma > SIGMA_WIDE * stride * float(spacing), 2, 1)
+        right = tap_axes(sigma, stride, view.frame)
         column = home % options.columns
         row = home // options.columns
-        if part.jitter == 1 and spacing > 1:
-            moved = tap_jitter(options, view.frame, pixel, int(blocks.mark[home]), spacing)
-            column += moved[0]
-            row += moved[1]
+        moved = wp.vec2i(0, 0)
+        mark = int(blocks.mark[home])
+        if part.jitter == 1 and (mark >> JITTER_SHIFT) != 0:
+            moved = tap_jitter(view.frame, pixel, mark, wp.length(right) - 1.0)
         found = Upscaled()
         found.nearest = -1
         found.nearest_square = 1.0e9
-        reach = radius * spacing
-        i = -reach
-        j = -reach
-        while j <= reach:
-            tap_column = column + i
-            tap_row = row + j
-            if i == 0 and j == 0:
+        i = int(-1)
+        j = int(-1)
+        while j <= 1:
+            tap_column = column
+            tap_row = row
+            if i != 0 or j != 0:
                 # The pixel's own block is always among the taps.
-                tap_column = home % options.columns
-                tap_row = home // options.columns
+                tap_column += moved[0] + int(wp.floor(float(i) * right[0] - float(j) * right[1] + 0.5))
+                tap_row += moved[1] + int(wp.floor(float(i) * right[1] + float(j) * right[0] + 0.5))
             if in_grid(options, tap_column, tap_row):
-                tap = filter_tap(options, blocks, centre, tap_column, tap_row)
-                other = unpack_state(lights.state[tap.block])
-                if other[1] >= 0.0:
+                tap = filter_tap(options, blocks, lights, centre, tap_column, tap_row)
+                if tap.confidence >= 0.0:
                     value = load_reflection(part, lights, tap.block)
                     w = wp.vec2(0.0, 0.0)
                     if tap.near > 0.0:
-                        w = tap_weight(
-                            view, gbuffer, options, part, samples, centre, lobe, tap, value[3], other[1])
-                    found = add_block(found, tap, value, load_root(part, other[0]), w, gaussian(tap, sigma))
-            i += spacing
-            if i > reach:
-                i = -reach
-                j += spacing
+                        w = tap_weight(view, gbuffer, options, part, samples, centre, lobe, tap, value[3])
+                    found = add_block(found, tap, value, load_root(part, tap.root), w, gaussian(tap, sigma))
+            i += 1
+            if i > 1:
+                i = -1
+                j += 1
         if found.total > WEIGHT_NONE:
             light = found.sum / found.total
             state[1] = found.confidence
         elif found.nearest >= 0:
             light = load_reflection(part, lights, found.nearest)
             state[1] = 0.0
-        state[0] = deviation_of(part, found.moments, light)
+        apart = around(part, found.moments, light)
+        state[0] = apart[0]
+        state[2] = apart[1]
+        state[3] = sample_rate(options, lobe, closeness)
         light = expanded(part, light)
     lights_out.light[pixel] = pack_halves(light)
-    lights_out.state[pixel] = pack_state(state[0], state[1])
+    lights_out.state[pixel] = pack_halves(state)

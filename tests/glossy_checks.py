@@ -26,11 +26,13 @@ def materials(kind):
     return [white[kind](roughness) for roughness in ROUGHNESSES]
 
 
-def white_balls(setup, kinds, frames, tolerance=0.01):
+def white_balls(setup, kinds, frames):
     """Find the light of Reference on rows of white balls, one row for each kind, in a white world.
 
-    Balls see each other, and all of them are nearly as bright as the world.
+    Balls see each other, and all of them are nearly as bright as the world. Rough glass keeps 98 % of the light in
+    Reference (see albedo_tables.glass_sample), here all of it.
     """
+    tolerance = 0.03 if "glass" in kinds else 0.01
     scene = made.white_balls(setup.size, [materials(kind) for kind in kinds])
     picture, truth, positions = setup.picture(scene, frames), setup.truth(scene), setup.positions(scene)
     figures = [bad_pixels(f"white balls, {frames} frames", picture)]

@@ -218,4 +218,4 @@ class ReflectionFrames:
     def confidence(self):
         """Return the confidence of the last frame's light [h, w]."""
         values = self.denoiser.filtered.state.numpy().view(np.float16).astype(np.float32)
-        return values.reshape(self.size, self.size, 2)[..., 1]
+        return values.reshape(self.size, self.size, 4)[..., 1]

@@ -18,8 +18,7 @@ from ...kernels import (
 )
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_atrous import FilterPass
-from ...kernels.reflection_blocks import ReflectionBlocks, ReflectionLight
-from ...kernels.reflection_sources import ReflectionHistory
+from ...kernels.reflection_blocks import ReflectionBlocks, ReflectionHistory, ReflectionLight
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
@@ -87,7 +86,7 @@ class ReflectionDenoisePass:
         def light(count: int) -> ReflectionLight:
             out = ReflectionLight()
             out.light = wp.zeros(count, dtype=wp.uint64, device=device)
-            out.state = wp.zeros(count, dtype=wp.uint32, device=device)
+            out.state = wp.zeros(count, dtype=wp.uint64, device=device)
             return out
 
         def history() -> ReflectionHistory:
@@ -99,7 +98,6 @@ class ReflectionDenoisePass:
         self.history: History[ReflectionHistory] = History(self.name, history)
         self.blocks = ReflectionBlocks()
         self.blocks.surface = wp.zeros(blocks, dtype=wp.uint64, device=device)
-        self.blocks.lobe = wp.zeros(blocks, dtype=wp.uint32, device=device)
         self.blocks.mark = wp.zeros(blocks, dtype=wp.uint8, device=device)
         self._excess = wp.zeros(blocks, dtype=wp.uint64, device=device)
         self._lights = (light(blocks), light(blocks))
@@ -133,7 +131,7 @@ class ReflectionDenoisePass:
             uint64 [h * w]: pack_mean of demodulated, exposed radiance of every pixel that is sampled, else 0; one array
             for even, another for odd frames.
         """
-        pixels, count = self.width * self.height, len(self.blocks.lobe)
+        pixels, count = self.width * self.height, len(self.blocks.mark)
         self.options, self._views = options, views
         source, target = self._lights
         graph.launch(
@@ -146,19 +144,20 @@ class ReflectionDenoisePass:
             graph.launch(
                 reflection_cleanup.clean_samples, count,
                 [views, gbuffer, options, self.blocks, target, self._excess], [source])
+        before = self.history.previous(parity)
         *inner, last = filter_passes(self.settings, self.stride, self.lobe, jitter)
         for part in inner:
             graph.launch(
                 reflection_atrous.filter_blocks, count,
-                [views, gbuffer, options, part, samples, self.blocks, source], [target])
+                [views, gbuffer, options, part, samples, self.blocks, source, before], [target])
             source, target = target, source
         graph.launch(
             reflection_upscale.upscale_blocks, pixels,
-            [views, gbuffer, options, last, samples, self.blocks, source], [self.filtered])
+            [views, gbuffer, options, last, samples, self.blocks, source, before], [self.filtered])
         history = self.history.current(parity)
         graph.launch(
             reflection_temporal.accumulate_reflections, pixels,
-            [views, gbuffer, previous_gbuffer, reprojection, options, self.filtered, self.history.previous(parity),
+            [views, gbuffer, previous_gbuffer, reprojection, options, self.filtered, before,
              int(self.settings.reflection_temporal), float(self.settings.reflection_history),
              float(self.settings.reflection_clamp)],
             [history])

@@ -41,7 +41,7 @@ def all_checks(long: bool) -> dict[str, list[Callable]]:
         "switch": [c.light_switch, lambda s: c.light_switch(s, kept=1)],
         "mover": [c.mover],
         "balls": [lambda s, k=k: g.white_balls(s, k, 64) for k in (
-            ("plastic", "metal"), ("coated plastic", "coated metal"), ("half metal", "glass"))],
+            ("plastic", "metal"), ("coated plastic", "coated metal"), ("half metal",), ("glass",))],
         "boxes": [lambda s, m=m, r=r: g.glossy_box(s, 256, metallic=m, roughness=r)
                   for m in (0.0, 1.0) for r in g.ROUGHNESSES] + [
             lambda s: g.glossy_box(s, 256, roughness=0.6, coat=1.0, coat_roughness=0.05)],

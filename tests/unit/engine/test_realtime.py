@@ -52,7 +52,8 @@ def session(settings=REALTIME, delta=None):
 
 def graphs_of(made):
     """Return the recorded frames."""
-    return [made._realtime.pipeline._graphs.get(parity) for parity in (0, 1)]
+    graphs = made._realtime.pipeline._graphs
+    return [graphs.get((parity, resting)) for resting in (False, True) for parity in (0, 1)]
 
 
 def test_replay_with_another_camera():

@@ -41,6 +41,60 @@ def test_white_light_gives_the_albedo(roughness: float) -> None:
     np.testing.assert_allclose(picture.mean(), albedo, rtol=0.008)
 
 
+@pytest.mark.parametrize(("size", "tolerance"), [(24, 0.015), (96, 0.015)])
+def test_small_lamps_keep_their_light(size: int, tolerance: float) -> None:
+    """Neither lose nor gain light of a lamp of few pixels over 64 frames at rest, against the samples given.
+
+    All roughnesses together: what single ones are off by is the noise of samples that count for differently much.
+    """
+    ratios = []
+    for seed, roughness in enumerate((0.05, 0.1, 0.2, 0.4) * (4 if size < 50 else 1)):
+        frames = ReflectionFrames(size=size, window=0.8, depth=2.0, ceiling=1.9, roughness=roughness, seed=seed)
+        given = 0.0
+        for rest in range(64):
+            place, pixels, valid = frames.place_all()
+            direction, pdf, values, distance = frames.trace(
+                pixels, lambda x, y: np.where((np.abs(x - 0.1) < 0.125) & (np.abs(y) < 0.125), 20.0, 0.0))
+            frames.give(place, valid, values, distance, direction, pdf)
+            picture = frames.show(rest=rest)
+            given += values[valid].mean() / 64
+        ratios.append(picture.mean() / given)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=tolerance)
+    assert np.abs(np.array(ratios) - 1.0).max() < 0.06
+
+
+def test_mirrors_leave_early_frames_behind() -> None:
+    """Forget what a mirror's pixels showed in the first frames as fast as rough surfaces do."""
+    frames = ReflectionFrames(roughness=0.0)
+    for index in range(64):
+        # Late enough for no change to be looked for.
+        frames.draw(even if index >= 24 else lambda x, y: 0 * x + 3.0)
+        frames.row["frame"] = index
+        picture = frames.show(rest=index, light_age=index)
+    # The plain mean is 1.75.
+    assert picture.mean() < 1.4
+
+
+def test_noise_keeps_filters_wide_at_rest() -> None:
+    """Filter as in motion where the mean is noisy after many frames, nothing where it is clean."""
+    def spread(noise):
+        frames = ReflectionFrames(roughness=0.4, window=0.05, reflection_cleanup=False)
+        for rest in range(180):
+            frames.draw(even, lambda rng, count: rng.lognormal(-0.5 * noise**2, noise, count))
+            frames.show(rest=rest)
+        # A lone bright sample: how much of it stays in its pixel.
+        place, pixels, valid = frames.place_all()
+        direction, pdf, values, distance = frames.trace(pixels, even)
+        values[:] = 1.0
+        values[8 * 16 + 8] = 100.0
+        frames.give(place, valid, values, distance, direction, pdf)
+        frames.show(rest=200)
+        light = frames.denoiser.filtered.light.numpy().view(np.float16).reshape(-1, 4)[:, 0]
+        return light.max()
+
+    assert spread(2.0) < 0.5 * spread(0.02)
+
+
 @pytest.mark.parametrize("resting", [False, True])
 @pytest.mark.parametrize("roughness", [0.1, 0.3])
 def test_noise_keeps_its_mean(roughness: float, resting: bool) -> None:
