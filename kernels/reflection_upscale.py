@@ -55,7 +55,7 @@ TAP_SPACING = wp.constant(1.2)
 SPACING_RANGE = wp.constant(0.6)
 # Spacing [blocks] from which on the taps turn from frame to frame: closer ones would fall together.
 TURN_SPACING = wp.constant(1.5)
-# The golden ratio's fractional part, and that of its square root's sister for a second sequence (plastic number).
+# Steps of a two-dimensional low-discrepancy sequence (the plastic number's), for turn and spacing.
 TURN_STEP = wp.constant(0.7548776662)
 SPACING_STEP = wp.constant(0.5698402910)
 # Distance [px^2] that a sample of another surface is put further away where none is of the same.
