@@ -30,6 +30,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "reflections.roughness_diffuse": 0.45,
         "reflections.resolution": ReflectionResolution.QUARTER,
         "reflections.bounces": 2,
+        "denoiser.rest_gather": False,
     }),
     Preset.BALANCED: MappingProxyType({}),
     Preset.FINE: MappingProxyType({
@@ -65,6 +66,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "denoiser.reflection_ratio": False,
         "denoiser.reflection_history": 8,
         "denoiser.reflection_clamp": 1.0,
+        "denoiser.rest_gather": False,
         "denoiser.path_traced_rest": False,
     }),
 })

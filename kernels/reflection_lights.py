@@ -10,7 +10,8 @@ heuristic) leave twice the light to samples on mirrors, and to rays sparks of sm
 
 The zone is the chance that a pixel's sample is a ray at all. A ray, once drawn, weighs by w_ray / zone: the chance has
 been taken. Rays that leave no primary surface, or that went through glass or over a mirror before they meet
-a light, count in full: no light sample stands for them. They say so with a density of 0. Rays whose lights are all sampled say -1.
+a light, count in full: no light sample stands for them. They say so with a density of 0. Rays whose lights are all
+sampled say -1.
 """
 
 from __future__ import annotations

@@ -174,8 +174,7 @@ GATHERED = wp.constant(2)
 
 @wp.func
 def first_density(reflection: int, paths: Paths, slot: int) -> float:
-    """Return the density that a ray shares light with, see reflection_lights.py; 0: it counts in full, -1: not at all.
-    """
+    """Return the density that a ray shares light with (reflection_lights.py); 0: it counts in full, -1: not at all."""
     if reflection == GATHERED:
         return -1.0
     return wp.where(reflection == REFLECTED and paths.state[slot] == 1, paths.pdf[slot], 0.0)

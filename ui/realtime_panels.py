@@ -135,6 +135,7 @@ class BURNISH_RENDER_PT_denoiser(RealtimePanel, Panel):
         column = layout.column(align=True)
         column.prop(denoiser, "diffuse_radius", text="Indirect Radius")
         column.prop(denoiser, "diffuse_history", text="History")
+        layout.prop(denoiser, "rest_gather", text="Gather at Rest")
         layout.prop(denoiser, "antialiasing", text="Anti-Aliasing")
 
 
