@@ -73,7 +73,7 @@ def test_command_line(burnish: Run, tmp_path: Path) -> None:
     assert len(sections) > 8
     total = float(re.search(r"^one frame +([\d.]+) ms$", text, re.M)[1])
     assert sum(map(float, sections)) == pytest.approx(total, rel=0.01)
-    assert re.search(r"^approximated: materials with a roughness below 0.6 reflect", text, re.M), text
+    assert re.search(r"^approximated: reflections of a roughness from 0.6 on take diffuse light", text, re.M), text
     assert text.rstrip().splitlines()[-1].startswith(f"{tmp_path / 'first.exr'} 48x32 3 samples")
     assert np.isfinite(picture).all() and (picture > 0.0).mean() > 0.9
     # Two processes; the timed frame runs section by section.

