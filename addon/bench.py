@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command `burnish bench`: error and time of Burnish and its peers on .blend files, against a Cycles truth.
+"""The command `burnish bench`: error and time of Burnish and its rivals on .blend files, against a Cycles truth.
 
-Owns the options and the order of events; rendering is in bench_engines.py, files in bench_store.py, tables in
-bench_report.py. Options are parsed without bpy.
+Owns the options and the order of events; scenes are measured in bench_scene.py, tables made in bench_report.py, plots
+in bench_plots.py, the report in bench_html.py. Options are parsed without bpy.
 """
 
 from __future__ import annotations
 
 import argparse
 import platform
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,43 +17,48 @@ import numpy as np
 
 from ..engine import image_error
 from ..engine.errors import BurnishError
-from .bench_report import NoiseRow, SceneResult, format_row, save
-from .bench_store import ENGINES, INTEGRATORS, OWN, Job, SceneStore
+from ..engine.read import read_exr
+from .bench_modes import add_arguments as add_modes
+from .bench_modes import run_mode
+from .bench_plan import BUDGETS, CLOCKS
+from .bench_progress import Interruption, Progress
+from .bench_report import save
+from .bench_store import OWN, PEERS
 from .cli_output import Console, diverted_output
-from .progress import format_duration
 
-__all__ = ["add_arguments", "plan_jobs", "run"]
+__all__ = ["add_arguments", "run"]
 
-PEERS = tuple(name for name in ENGINES if name != "truth" and name not in OWN)
-SAMPLES = {"reference": (64,), "realtime": (1, 8, 64, 256)}
-"""Sample counts of each integrator, or frames, unless others are asked for; the peers take the reference's"""
-TRUTH_SEEDS = (101, 202)
-NOISE_SEEDS = (11, 22)
 DEFAULT_SIZE = (640, 360)
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it"""
 
 
 def comma_list(kind: Callable[[str], Any], what: str, low: float = 0.0) -> Callable[[str], list[Any]]:
-    """Return a converter of comma-separated values above `low`."""
+    """Return a converter of comma-separated values above `low`, in ascending order and each once."""
 
     def convert(text: str) -> list[Any]:
         try:
             values = [kind(part) for part in text.split(",") if part.strip()]
         except ValueError:
             values = []
-        if not values or min(values) <= low:
+        if not values or not all(low < value < float("inf") for value in values):
             raise argparse.ArgumentTypeError(f"{what} must be positive numbers with commas between them, not '{text}'")
-        return values
+        return sorted(set(values))
 
     return convert
 
 
-def peer_list(text: str) -> list[str]:
-    """Convert comma-separated names of peers; an empty text means none."""
-    names = [part.strip() for part in text.split(",") if part.strip()]
-    for name in names:
-        if name not in PEERS:
-            raise argparse.ArgumentTypeError(f"there is no peer '{name}'; the peers are {', '.join(PEERS)}")
-    return names
+def name_list(names: tuple[str, ...], what: str) -> Callable[[str], list[str]]:
+    """Return a converter of comma-separated names; an empty text means none."""
+
+    def convert(text: str) -> list[str]:
+        chosen = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+        for name in chosen:
+            if name not in names:
+                raise argparse.ArgumentTypeError(f"there is no {what} '{name}'; there are {', '.join(names)}")
+        return chosen
+
+    return convert
 
 
 def positive(text: str) -> int:
@@ -64,59 +68,69 @@ def positive(text: str) -> int:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options to its parser."""
-    parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.blend", help="files to render")
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.blend", help="files to render")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="device of all engines")
     parser.add_argument("--size", nargs=2, type=positive, metavar=("W", "H"),
                         help=f"size in pixels; default: the reference's, else {DEFAULT_SIZE[0]} {DEFAULT_SIZE[1]}")
-    parser.add_argument("--integrator", choices=list(INTEGRATORS), default="reference",
-                        help="Burnish's integrator; default: reference")
-    parser.add_argument("--samples", type=comma_list(int, "--samples"), metavar="N,...",
-                        help="samples per pixel of Burnish and its peers, or Burnish's realtime frames; default: 64 "
-                             "samples, frames 1,8,64,256")
-    parser.add_argument("--budgets", type=comma_list(float, "--budgets"), default=[], metavar="SECONDS,...",
-                        help="also render Burnish and Cycles for these times of sampling")
-    parser.add_argument("--peers", type=peer_list, default=["cycles", "cycles+oidn"], metavar="NAME,...",
-                        help=f"of {', '.join(PEERS)}; '' for none; default: cycles,cycles+oidn")
-    parser.add_argument("--truth", type=positive, default=1024, metavar="N",
-                        help="samples per pixel of the truth, rendered in two independent halves; default: 1024")
+    parser.add_argument("--engines", type=name_list(OWN, "engine"), default=list(OWN), metavar="NAME,...",
+                        help=f"Burnish's own; default: {','.join(OWN)}")
+    parser.add_argument("--peers", type=name_list(PEERS, "peer"), default=["cycles", "cycles+oidn"],
+                        metavar="NAME,...", help=f"of {', '.join(PEERS)}; '' for none; default: cycles,cycles+oidn")
+    parser.add_argument("--budgets", type=comma_list(float, "--budgets"), metavar="SECONDS,...",
+                        help="times at which engines are compared; default: "
+                             f"{','.join(f'{budget:g}' for budget in BUDGETS)}, none with --samples or --noise")
+    parser.add_argument("--clocks", type=name_list(CLOCKS, "clock"), default=list(CLOCKS), metavar="NAME,...",
+                        help="warm: the scene is resident; cold: a second F12 with everything in; default: both")
+    parser.add_argument("--cold-budgets", type=comma_list(float, "--cold-budgets"), metavar="SECONDS,...",
+                        help="budgets of the cold clock; default: those of --budgets")
+    parser.add_argument("--repetitions", type=positive, default=3, metavar="N",
+                        help="runs of which the median time is taken; above 0.5 s one run; default: 3")
+    parser.add_argument("--samples", type=comma_list(int, "--samples"), default=[], metavar="N,...",
+                        help="also render fixed numbers of samples per pixel, or of frames, by F12")
+    parser.add_argument("--truth", type=positive, default=4096, metavar="N",
+                        help="samples per pixel of the truth, rendered in two independent halves; default: 4096")
     parser.add_argument("--reference", type=Path, action="append", default=[], metavar="FILE.exr",
-                        help="take this picture as truth; once for each scene, in their order")
+                        help="take this picture as truth; once for each scene, in their order; with FILE_a.exr and "
+                             "FILE_b.exr beside it, its two halves, its noise is known")
     parser.add_argument("--noise", action="store_true",
-                        help="also render Burnish at N, 4N and 16N samples with two seeds and show how noise falls")
+                        help="also render Burnish's reference at N, 4N and 16N samples with two seeds and show how "
+                             "noise falls")
     parser.add_argument("--output", "-o", type=Path, default=Path("out/bench"), metavar="DIR",
                         help="folder of pictures and results, and of what an interrupted run goes on from; "
                              "default: out/bench")
+    parser.add_argument("--no-strips", dest="strips", action="store_false",
+                        help="save no picture of each render beside the truth")
+    add_modes(parser)
     parser.add_argument("--show-all", action="store_true", help="show all that Blender and its engines print")
 
 
-def plan_jobs(arguments: argparse.Namespace) -> tuple[list[Job], list[Job], list[Job]]:
-    """Return the jobs of one scene: the truth's halves, the rows of the table, the pictures for --noise."""
-    half = max(1, arguments.truth // 2)
-    truth = [] if arguments.reference else [Job(engine="truth", samples=half, seed=seed) for seed in TRUTH_SEEDS]
-    own = INTEGRATORS[arguments.integrator]
-    counts = {engine: arguments.samples or SAMPLES["reference"] for engine in arguments.peers}
-    counts = {own: arguments.samples or SAMPLES[arguments.integrator]} | counts
-    engines = list(counts)
-    rows = [Job(engine=engine, samples=samples) for engine in engines for samples in counts[engine]]
-    # EEVEE has no time limit.
-    rows += [Job(engine=engine, samples=0, budget=budget) for engine in engines if engine != "eevee"
-             for budget in arguments.budgets]
-    first = counts[own][0]
-    noise = [Job(engine=own, samples=first * factor, seed=seed) for factor in (1, 4, 16)
-             for seed in NOISE_SEEDS] if arguments.noise else []
-    return truth, rows, noise
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the benchmark and return the exit status: 1 if a scene could not be measured at all."""
+def check(arguments: argparse.Namespace) -> None:
+    """Fill in what depends on other options; raises BurnishError for what can't work, before bpy is loaded."""
+    if not arguments.scenes:
+        raise BurnishError("No scene is named; give one .blend file or more")
     if arguments.reference and len(arguments.reference) != len(arguments.scenes):
         raise BurnishError(f"There are {len(arguments.scenes)} scenes but {len(arguments.reference)} references; "
                            "give --reference once for each scene")
     for path in [*arguments.scenes, *arguments.reference]:
         if not path.is_file():
             raise BurnishError(f"The file '{path}' does not exist")
+    if arguments.budgets is None:
+        arguments.budgets = [] if arguments.samples or arguments.noise else list(BUDGETS)
+    if arguments.cold_budgets is None:
+        arguments.cold_budgets = list(arguments.budgets)
     one = np.zeros((8, 8, 3), np.float32)
     image_error.flip(one, one)  # Missing, it should be missed before hours of rendering.
+    from .bench_plots import find_matplotlib
+
+    find_matplotlib()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark and return the exit status: 1 if a scene could not be measured, 130 when interrupted."""
+    other = run_mode(arguments)
+    if other is not None:
+        return other
+    check(arguments)
     with diverted_output(show_all=arguments.show_all) as console:
         if getattr(arguments, "in_blender", False):
             return measure_all(arguments, console)
@@ -131,120 +145,73 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def measure_all(arguments: argparse.Namespace, console: Console) -> int:
-    """Measure every scene, writing the results after each."""
+    """Measure every scene, writing the results after each; the report at the end."""
+    from .bench_html import save_report
+    from .bench_scene import SceneBench
+
+    device, machine = describe(arguments)
+    options = {name: plain(value) for name, value in vars(arguments).items() if not callable(value)}
+    progress, results, interrupted = Progress(console), [], False
+    with Interruption(console) as interruption:
+        benches = []
+        for index, scene in enumerate(arguments.scenes):
+            reference = arguments.reference[index] if arguments.reference else None
+            size = size_for(arguments, reference)
+            benches.append(SceneBench(arguments, scene, reference, size, device, console, progress, interruption))
+        for bench in benches:
+            try:
+                interruption.check()
+                bench.measure()
+            except KeyboardInterrupt:
+                interrupted = True
+            if interrupted and not bench.result.rows and not bench.result.failure:
+                bench.result.failure = "The run was interrupted before this scene"
+            results.append(bench.result)
+            save(arguments.output, results, machine, options)
+    save_report(arguments.output, results, machine, options)
+    console.print(f"Results: {arguments.output / 'report.html'}, results.md and results.json beside it")
+    return INTERRUPTED if interrupted else int(any(result.failure for result in results))
+
+
+def plain(value: Any) -> Any:
+    """Return an option's value as JSON can have it."""
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def describe(arguments: argparse.Namespace) -> tuple[str, dict[str, str]]:
+    """Return the device that the options choose and what the report says of the machine."""
+    import os
+
+    import bpy
+
     from ..engine.device import choose_device, device_info
+    from .manifest import package_version
 
     device = choose_device(arguments.device)
-    machine = {"Device": f"{device_info(device).name} ({device})", "System": platform.platform(),
-               "Python": platform.python_version()}
-    results: list[SceneResult] = []
-    for index, scene in enumerate(arguments.scenes):
-        reference = arguments.reference[index] if arguments.reference else None
-        results.append(SceneBench(arguments, scene, reference, device, console).measure())
-        save(arguments.output, results, machine)
-    console.print(f"Results: {arguments.output / 'results.md'}")
-    return int(any(result.failure for result in results))
+    info = device_info(device)
+    machine = {"Burnish": package_version(), "Blender": bpy.app.version_string, "Warp": info.warp_version,
+               "Python": platform.python_version(), "Device": f"{info.name} ({device})",
+               "Processor": f"{platform.processor() or platform.machine()}, {os.cpu_count()} threads",
+               "System": platform.platform()}
+    if info.cuda:
+        machine["Driver"] = str(info.driver)
+    return device, machine
 
 
-class SceneBench:
-    """One scene: renders what is missing, compares it with the truth, saves the pictures."""
-
-    def __init__(self, arguments: argparse.Namespace, scene: Path, reference: Path | None, device: str,
-                 console: Console) -> None:
-        self.arguments, self.path, self.reference, self.console = arguments, scene, reference, console
-        self.device = device
-        self.truth_jobs, self.row_jobs, self.noise_jobs = plan_jobs(arguments)
-        self.failures: dict[Job, str] = {}
-
-    def measure(self) -> SceneResult:
-        """Return the scene's result; what goes wrong is in it as a sentence."""
-        from .bench_engines import open_scene, read_exr, sentence
-
-        self.read = read_exr
-        size = tuple(self.arguments.size or DEFAULT_SIZE)
-        text = f"'{self.reference.name}'" if self.reference else f"Cycles, {self.arguments.truth} samples"
-        result = SceneResult(name=self.path.stem, hash="", size=size, device=self.device, truth=text)
+def size_for(arguments: argparse.Namespace, reference: Path | None) -> tuple[int, int]:
+    """Return the size asked for, else the reference's, else the default."""
+    if arguments.size:
+        return arguments.size[0], arguments.size[1]
+    if reference is not None:
         try:
-            given = read_exr(self.reference) if self.reference else None
-            if given is not None and not self.arguments.size:
-                result.size = size = (given.shape[1], given.shape[0])
-            if given is not None and given.shape[:2] != size[::-1]:
-                raise BurnishError(f"The reference '{self.reference}' has {given.shape[1]} x {given.shape[0]} pixels, "
-                                   f"not {size[0]} x {size[1]}; leave --size out or give the reference's")
-            self.store = SceneStore(self.arguments.output, self.path, size, self.device)
-            result.hash = self.store.hash
-            self.scene = open_scene(self.path, size, self.device)
-            self.render_missing()
-            self.add_rows(result, given)
-        except BurnishError as error:
-            result.failure = sentence(error)
-            self.console.print(f"{self.path.stem}: failed: {result.failure}")
-        return result
+            height, width, _ = read_exr(reference).shape
+        except BurnishError:
+            return DEFAULT_SIZE  # The scene itself will say what is wrong with it.
+        return width, height
+    return DEFAULT_SIZE
 
-    def render_missing(self) -> None:
-        """Render all pictures that are not there yet; an engine's failure is kept for its row, a truth's is raised."""
-        from .bench_engines import sentence
 
-        jobs = list(self.store.missing([*self.truth_jobs, *self.row_jobs, *self.noise_jobs]))
-        total, done, start = sum(job.weight for job in jobs), 0.0, time.perf_counter()
-        for index, job in enumerate(jobs):
-            elapsed = time.perf_counter() - start
-            left = f", about {format_duration(elapsed * (total / done - 1.0))} left" if done > 0.0 else ""
-            self.console.print(f"{self.path.stem} [{index + 1}/{len(jobs)}] {job.label}{left}")
-            try:
-                record = self.scene.render(job, self.store.path(job, ".exr"))
-                self.store.save(job, record)
-            except Exception as error:
-                if job.engine == "truth":
-                    raise BurnishError(f"The truth could not be rendered: {sentence(error)}") from error
-                self.failures[job] = sentence(error)
-            done += job.weight
-
-    def add_rows(self, result: SceneResult, given: np.ndarray | None) -> None:
-        """Compare all pictures with the truth, save the side-by-side pictures and print the rows."""
-        truth = given
-        if truth is None:
-            halves = [self.read(self.store.path(job, ".exr")) for job in self.truth_jobs]
-            truth = 0.5 * (halves[0] + halves[1])
-            # The mean of two halves has half the variance of either.
-            result.truth_noise = image_error.noise_rmse(*halves) / np.sqrt(2.0)
-            result.rows.append({"label": "Truth's halves against each other",
-                                "errors": image_error.compare(*halves).as_dict()})
-        for job in self.row_jobs:
-            result.rows.append(self.row(job, truth, "truth: " + result.truth))
-        for row in result.rows:
-            self.console.print(f"{self.path.stem}: {format_row(row)}")
-        if self.noise_jobs:
-            self.add_noise(result, truth)
-
-    def row(self, job: Job, truth: np.ndarray, truth_label: str) -> dict[str, Any]:
-        """Return a table row and save its picture."""
-        from .bench_picture import save_comparison
-
-        row: dict[str, Any] = {"label": job.label, "engine": job.engine}
-        if job in self.failures:
-            return {**row, "failure": self.failures[job]}
-        record = self.store.record(job)
-        picture = self.read(self.store.path(job, ".exr"))
-        labels = (truth_label, f"{job.label}, {record['seconds']:.2f} s")
-        save_comparison(self.store.path(job, ".png"), truth, picture, labels, self.scene.exposure)
-        return {**row, **record, "errors": image_error.compare(truth, picture).as_dict()}
-
-    def add_noise(self, result: SceneResult, truth: np.ndarray) -> None:
-        """Measure the noise at N, 4N and 16N samples and what error remains without it."""
-        for first, second in zip(self.noise_jobs[::2], self.noise_jobs[1::2], strict=True):
-            if first in self.failures or second in self.failures:
-                self.console.print(f"{self.path.stem}: no noise figure: {self.failures.get(first, '')}")
-                continue
-            pair = [self.read(self.store.path(job, ".exr")) for job in (first, second)]
-            noise = image_error.noise_rmse(*pair)
-            left = None
-            if result.truth_noise is not None:
-                # noise_rmse halves the variance of a difference; against the truth the whole of it counts.
-                squared = 2.0 * image_error.noise_rmse(0.5 * (pair[0] + pair[1]), truth) ** 2
-                left = float(np.sqrt(max(0.0, squared - 0.5 * noise ** 2 - result.truth_noise ** 2)))
-            result.noise.append(NoiseRow(samples=first.samples, noise=noise, left=left))
-            before = result.noise[-2].noise / noise if len(result.noise) > 1 and noise > 0.0 else None
-            fall = f", falls by {before:.2f} (2 expected)" if before else ""
-            rest = f"; not explained by noise: {left:.5f}" if left is not None else ""
-            self.console.print(f"{self.path.stem}: noise at {first.samples} spp: {noise:.5f} RMSE{fall}{rest}")

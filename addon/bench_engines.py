@@ -7,7 +7,9 @@ same pixel filter; compositing, sequencer, border and motion blur off.
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,20 @@ import bpy
 import numpy as np
 
 from ..engine.errors import BurnishError
+from ..engine.measure import View
+from ..engine.read import read_exr
+from ..engine.scene import CameraData, SceneDelta
+from ..engine.session import Session
+from ..engine.settings import Change, RenderSettings
+from ..engine.write import LayerPixels, PassPixels, write_exr
 from . import final
-from .bench_store import OWN, Job, source_hash
+from .bench_store import OWN, Job
 
-__all__ = ["BenchScene", "open_scene", "read_exr", "sentence"]
+__all__ = ["BenchScene", "KeptSession", "kept_sessions", "open_scene", "save_picture", "sentence"]
 
 BOUNCES = 32
 FILTER_WIDTH = 1.5
 """Full width of the Blackman-Harris pixel filter [px], Cycles' default"""
-BUDGET_SAMPLES = 1 << 16
-"""Samples that nobody reaches before the time of a budget is up"""
 
 
 def sentence(error: BaseException) -> str:
@@ -45,31 +51,62 @@ def open_scene(path: Path, size: tuple[int, int], device: str) -> BenchScene:
     return BenchScene(bpy.context.scene, size, device)
 
 
-def read_exr(path: Path) -> np.ndarray:
-    """Return the colours of an OpenEXR file, float32 [h, w, 3], bottom row first, scene-linear; raises BurnishError."""
+def save_picture(path: Path, pixels: np.ndarray) -> None:
+    """Write colours [h, w, 3], bottom row first, to an OpenEXR file; raises BurnishError."""
+    write_exr(path, [LayerPixels("ViewLayer", (PassPixels("Combined", "RGB", pixels),))], {})
+
+
+class KeptSession(Session):
+    """A session that final renders fill; it tells what reading the scene took and stays open if asked to."""
+
+    def __init__(self, settings: RenderSettings, keep: bool) -> None:
+        self.keep = keep
+        self.extraction = 0.0
+        """Seconds that reading Blender's scene took"""
+        self.view: View | None = None
+        super().__init__(settings)
+
+    def update(self, delta: SceneDelta, progress: Callable[[str, float], None] | None = None) -> None:
+        """Take over what changed in the scene."""
+        self.extraction = float(delta.extra.get("extract_seconds", 0.0))
+        super().update(delta, progress)
+
+    def configure(self, settings: RenderSettings, camera: CameraData, width: int, height: int,
+                  crop: tuple[int, int, int, int] | None = None, passes: tuple[str, ...] = ("Combined",)) -> Change:
+        """Set what to render."""
+        self.view = View(camera, width, height, crop, passes)
+        return super().configure(settings, camera, width, height, crop, passes)
+
+    def close(self) -> None:
+        """Give the device's memory back, unless the session is kept."""
+        if not self.keep:
+            super().close()
+
+
+@contextlib.contextmanager
+def kept_sessions(*, keep: bool) -> Iterator[list[KeptSession]]:
+    """Let final renders open sessions of ours while this is entered; yield those that they have opened."""
+    opened: list[KeptSession] = []
+
+    def open_session(settings: RenderSettings) -> KeptSession:
+        opened.append(KeptSession(settings, keep))
+        return opened[-1]
+
+    before, final.open_session = final.open_session, open_session
     try:
-        image = bpy.data.images.load(str(path.resolve()), check_existing=False)
-    except RuntimeError as error:
-        raise BurnishError(f"'{path}' can't be read: {sentence(error)}") from error
-    try:
-        image.colorspace_settings.name = 'Non-Color'
-        width, height = image.size
-        pixels = np.empty(width * height * image.channels, np.float32)
-        if not pixels.size or image.channels < 3 or image.type == 'MULTILAYER':
-            raise BurnishError(f"'{path}' has no plain R, G, B picture; save it as a single-layer OpenEXR file")
-        image.pixels.foreach_get(pixels)
-        return pixels.reshape(height, width, -1)[..., :3].copy()
+        yield opened
     finally:
-        bpy.data.images.remove(image)
+        final.open_session = before
 
 
 class BenchScene:
-    """The open scene: renders jobs and times them. The first render of each engine only loads its kernels."""
+    """The open scene: sets engines and renders it by F12. The first render of each engine only loads its kernels."""
 
     def __init__(self, scene: Any, size: tuple[int, int], device: str) -> None:
-        self.scene = scene
-        self.device = device
+        self.scene, self.size, self.device = scene, size, device
         self.exposure = float(scene.view_settings.exposure)
+        self.persistent = False
+        """Whether engines keep the scene between renders"""
         self._loaded: set[str] = set()
         render = scene.render
         render.resolution_x, render.resolution_y = size
@@ -84,54 +121,109 @@ class BenchScene:
             layer.use = False
 
     def render(self, job: Job, path: Path) -> dict[str, Any]:
-        """Render a job to an OpenEXR file and return its record: seconds and, for Burnish, where they went.
+        """Render a job by F12 to an OpenEXR file and return its record: seconds and, for Burnish, where they went.
 
         Raises:
             BurnishError: The engine failed, with its sentence.
         """
         if job.engine not in self._loaded:
-            self._configure(Job(engine=job.engine, samples=1))
-            self._shoot(path)
+            self.configure(Job(engine=job.engine, samples=1))
+            self.shoot()
             self._loaded.add(job.engine)
-        self._configure(job)
-        seconds, information = self._shoot(path)
+        self.configure(job)
+        with kept_sessions(keep=False) as opened:
+            seconds, information = self.shoot(path)
         record = {"engine": job.engine, "samples": job.samples, "seed": job.seed, "budget": job.budget,
-                  "seconds": seconds, "device": self.device, "blender": bpy.app.version_string}
+                  "clock": job.clock, "seconds": seconds, "device": self.device, "blender": bpy.app.version_string}
         if information is not None:
             stats = information.stats
-            record |= {"source": source_hash(), "samples_done": information.samples, "device": information.device,
+            times = {name: float(value) for name, value in getattr(stats, "times", {}).items()}
+            times = {"extraction": opened[-1].extraction, **times} if opened else times
+            record |= {"samples_done": information.samples, "device": information.device,
                        "sampling_seconds": information.seconds, "report": information.report.text(),
-                       "times": {name: float(value) for name, value in getattr(stats, "times", {}).items()},
-                       "frame_times": information.frame_times, "skipped": information.skipped,
+                       "times": times, "frame_times": information.frame_times, "skipped": information.skipped,
                        "triangles": int(getattr(stats, "triangles", 0)), "structure": getattr(stats, "structure", "")}
         return record
 
-    def _shoot(self, path: Path) -> tuple[float, final.RenderInfo | None]:
-        """Render the scene as it is set; return wall seconds and Burnish's own figures."""
+    def shoot(self, path: Path | None = None) -> tuple[float, final.RenderInfo | None]:
+        """Render the scene as it is set; return wall seconds, without saving, and Burnish's own figures.
+
+        Raises:
+            BurnishError: The engine failed, with its sentence.
+        """
         found: list[final.RenderInfo] = []
 
         def keep(layer: str, view: str, pixels: dict[str, np.ndarray], information: final.RenderInfo) -> None:
             found.append(information)
 
-        partial = path.with_name(f".{path.stem}.partial.exr")
-        partial.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)
-        self.scene.render.filepath = str(partial.resolve())
+        self.scene.render.use_persistent_data = self.persistent
         final.on_finished.append(keep)
         start = time.perf_counter()
         try:
-            bpy.ops.render.render(write_still=True, scene=self.scene.name)
+            outcome = bpy.ops.render.render(scene=self.scene.name)
         except RuntimeError as error:
             raise BurnishError(sentence(error)) from error
         finally:
             final.on_finished.remove(keep)
         seconds = time.perf_counter() - start
-        if not partial.is_file():
-            raise BurnishError("The engine wrote no picture; run it in Blender to see why")
-        partial.replace(path)
+        if 'FINISHED' not in outcome:
+            raise BurnishError("The render was cancelled")
+        if path is not None:
+            self._save(path)
         return seconds, found[0] if found else None
 
-    def _configure(self, job: Job) -> None:
+    def _save(self, path: Path) -> None:
+        partial = path.with_name(f".{path.stem}.partial.exr")
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)
+        try:
+            bpy.data.images["Render Result"].save_render(str(partial.resolve()), scene=self.scene)
+        except (KeyError, RuntimeError) as error:
+            raise BurnishError(f"The engine made no picture ({sentence(error)}); run it in Blender to see why"
+                               ) from error
+        partial.replace(path)
+
+    def shoot_part(self, job: Job, offset: int, total: int, path: Path) -> tuple[np.ndarray, float]:
+        """Render `job.samples` samples of Cycles that come after the first `offset`; return [h, w, 3] and seconds.
+
+        `total` is how many there will be in the end: Cycles' sequences depend on it, so that only parts of the same
+        total add up to what one render of all would be.
+        """
+        self.configure(job)
+        cycles = self.scene.cycles
+        cycles.use_sample_subset, cycles.sample_offset, cycles.sample_subset_length = True, offset, job.samples
+        cycles.samples = total
+        try:
+            seconds, _ = self.shoot(path)
+        finally:
+            cycles.use_sample_subset, cycles.sample_offset = False, 0
+        return read_exr(path), seconds
+
+    def shoot_both(self, job: Job, plain: Path, denoised: Path) -> float:
+        """Render Cycles with its denoiser and save the picture before and after that; return the wall seconds."""
+        self.configure(job)
+        settings, layer = self.scene.render.image_settings, self.scene.view_layers[0]
+        both = denoised.with_name(f".{denoised.stem}.both.exr")
+        kept = {name: getattr(settings, name) for name in ("media_type", "file_format") if hasattr(settings, name)}
+        layer.cycles.denoising_store_passes = True
+        try:
+            seconds, _ = self.shoot()
+            if "media_type" in kept:
+                settings.media_type = 'MULTI_LAYER_IMAGE'
+            settings.file_format = 'OPEN_EXR_MULTILAYER'
+            self._save(both)
+        finally:
+            layer.cycles.denoising_store_passes = False
+            for name, value in kept.items():
+                setattr(settings, name, value)
+        try:
+            save_picture(plain, read_exr(both, "Noisy Image"))
+            save_picture(denoised, read_exr(both, "Combined"))
+        finally:
+            both.unlink(missing_ok=True)
+        return seconds
+
+    def configure(self, job: Job) -> None:
         """Select a job's engine and set it."""
         if job.engine in OWN:
             self._configure_burnish(job)
@@ -146,21 +238,20 @@ class BenchScene:
         self.scene.render.engine = 'BURNISH'
         settings = self.scene.burnish
         settings.device = 'CUDA' if self.device.startswith("cuda") else 'CPU'
-        settings.sampling.integrator = 'REALTIME' if job.engine == "realtime" else 'REFERENCE'
-        settings.sampling.samples = BUDGET_SAMPLES if job.budget else job.samples
-        settings.sampling.time_limit = job.budget
+        settings.sampling.integrator = 'REFERENCE' if job.engine == "reference" else 'REALTIME'
+        settings.sampling.samples, settings.sampling.time_limit = job.samples, 0.0
         settings.sampling.seed = job.seed
         settings.light_paths.clamp_direct = settings.light_paths.clamp_indirect = 0.0
         settings.light_paths.max_bounces = 0
         settings.film.exposure = float(self.scene.cycles.film_exposure)
         settings.film.pixel_filter, settings.film.filter_width = 'BLACKMAN_HARRIS', FILTER_WIDTH
+        settings.denoiser.final_denoise = job.engine.endswith("+oidn")
 
     def _configure_cycles(self, job: Job) -> None:
         self.scene.render.engine = 'CYCLES'
         cycles = self.scene.cycles
         cycles.device = choose_cycles_device(self.device)
-        cycles.samples, cycles.seed = (BUDGET_SAMPLES if job.budget else job.samples), job.seed
-        cycles.time_limit = job.budget
+        cycles.samples, cycles.seed, cycles.time_limit = job.samples, job.seed, 0.0
         cycles.use_adaptive_sampling = cycles.use_animated_seed = cycles.use_guiding = False
         cycles.use_light_tree = True
         cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0

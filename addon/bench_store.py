@@ -17,17 +17,20 @@ from typing import Any
 
 from ..engine.errors import BurnishError
 
-__all__ = ["ENGINES", "INTEGRATORS", "OWN", "Job", "SceneStore", "file_hash", "source_hash", "write_text"]
+__all__ = ["ENGINES", "OWN", "PEERS", "Job", "SceneStore", "file_hash", "source_hash", "write_bytes", "write_text"]
 
-ENGINES = {"truth": "Truth", "burnish": "Burnish Reference", "realtime": "Burnish Realtime", "cycles": "Cycles",
-           "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
+ENGINES = {"truth": "Truth", "realtime": "Burnish Realtime", "realtime+oidn": "Burnish Realtime + OIDN",
+           "reference": "Burnish Reference", "cycles": "Cycles", "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
 """Engines by their names on the command line, with their names in tables"""
 
-INTEGRATORS = {"reference": "burnish", "realtime": "realtime"}
-"""Burnish's engines by its integrators"""
-
-OWN = frozenset(INTEGRATORS.values())
+OWN = ("realtime", "realtime+oidn", "reference")
 """Engines whose results depend on this package's source"""
+PEERS = ("cycles", "cycles+oidn", "eevee")
+
+OVERHEAD = 1.5
+"""Seconds taken to be spent around each picture, for the time left"""
+MOVING = "moving"
+"""Clock of the picture that ends a pan"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,28 +38,33 @@ class Job:
     """One picture to render."""
 
     engine: str
-    samples: int
+    samples: int = 0
     seed: int = 0
     budget: float = 0.0
-    """Time after which sampling stops [s]; 0: as many samples as asked for"""
+    """Time to fill [s]; 0: as many samples as asked for"""
+    clock: str = ""
+    """`warm`: the scene is resident; `cold`: a second F12 with everything in; `moving`; empty: fixed samples by F12"""
 
     @property
     def name(self) -> str:
         """Name for files, without the device."""
-        amount = f"{self.budget:g}s" if self.budget else f"{self.samples:05d}"
-        return f"{self.engine.replace('+', '_')}_{amount}" + (f"_seed{self.seed}" if self.seed else "")
+        amount = f"{self.budget:g}s" if self.budget else f"{self.samples:05d}" if self.samples else ""
+        parts = [self.clock, self.engine.replace("+", "_"), amount, f"seed{self.seed}" if self.seed else ""]
+        return "_".join(part for part in parts if part)
 
     @property
     def label(self) -> str:
         """Name for people."""
-        unit = ("frames" if self.samples != 1 else "frame") if self.engine == "realtime" else "spp"
-        amount = f"{self.budget:g} s" if self.budget else f"{self.samples} {unit}"
+        if self.clock == MOVING:
+            return f"{ENGINES[self.engine]}, camera moving"
+        unit = ("frames" if self.samples != 1 else "frame") if self.engine.startswith("realtime") else "spp"
+        amount = f"{self.budget:g} s {self.clock}".rstrip() if self.budget else f"{self.samples} {unit}"
         return f"{ENGINES[self.engine]} {amount}" + (f" seed {self.seed}" if self.seed else "")
 
     @property
     def weight(self) -> float:
-        """Rough cost, for the time left: a sample costs one, and each render something on top."""
-        return 20.0 + self.samples * (0.3 if self.engine == "eevee" else 1.0) if not self.budget else 50.0
+        """Rough cost in seconds, for the time left; a fixed number of samples is a guess."""
+        return OVERHEAD + (self.budget or 0.02 * self.samples)
 
 
 def file_hash(path: Path) -> str:
@@ -73,20 +81,33 @@ def source_hash() -> str:
     total = hashlib.sha256()
     for layer in ("addon", "engine", "kernels"):
         for path in sorted((root / layer).rglob("*.py")):
-            if not path.name.startswith(("bench", "cli", "image_error")):
+            if not path.name.startswith(("bench", "cli", "image_error", "measure", "scaling", "ablation", "stress")):
                 total.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return total.hexdigest()[:12]
 
 
-def write_text(path: Path, text: str) -> None:
+def write_bytes(path: Path, content: bytes) -> None:
     """Write a file that appears under its name only when it is complete."""
     partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, "utf-8")
+        partial.write_bytes(content)
         partial.replace(path)
     except OSError as error:
         raise BurnishError(f"The result can't be saved as '{path}': {error.strerror or error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file that appears under its name only when it is complete."""
+    write_bytes(path, text.encode())
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Return a JSON file's content, None where it is missing or broken."""
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 class SceneStore:
@@ -97,6 +118,7 @@ class SceneStore:
         self.hash = file_hash(scene)
         self.folder = output / f"{scene.stem}-{self.hash}-{size[0]}x{size[1]}"
         self.device = device.partition(":")[0]
+        self._source = source_hash()
 
     def path(self, job: Job, suffix: str) -> Path:
         """Return a job's file; the truth is the same on every device."""
@@ -104,18 +126,28 @@ class SceneStore:
         return self.folder / f"{job.name}{device}{suffix}"
 
     def record(self, job: Job) -> dict[str, Any] | None:
-        """Return the record of a picture that is there and still valid, else None."""
-        try:
-            record = json.loads(self.path(job, ".json").read_text("utf-8"))
-        except (OSError, ValueError):
+        """Return the record of a picture that is there and still valid, or of why there is none; else None."""
+        record = read_json(self.path(job, ".json"))
+        if record is None or (job.engine in OWN and record.get("source") != self._source):
             return None
-        stale = job.engine in OWN and record.get("source") != source_hash()
-        return None if stale or not self.path(job, ".exr").is_file() else record
+        return record if record.get("no_picture") or self.path(job, ".exr").is_file() else None
 
     def save(self, job: Job, record: dict[str, Any]) -> None:
-        """Write the record of a job whose picture is complete."""
+        """Write the record of a job whose picture is complete, or that has `no_picture`, with the reason."""
+        if job.engine in OWN:
+            record = {**record, "source": self._source}
         write_text(self.path(job, ".json"), json.dumps(record, indent=1) + "\n")
 
     def missing(self, jobs: list[Job]) -> Iterator[Job]:
         """Yield the jobs that have still to be rendered."""
         return (job for job in jobs if self.record(job) is None)
+
+    def facts(self, engine: str) -> dict[str, Any] | None:
+        """Return what was measured of an engine itself (its time per sample, its frames), if it is still valid."""
+        found = read_json(self.folder / f"facts_{engine.replace('+', '_')}_{self.device}.json")
+        return None if found is None or (engine in OWN and found.get("source") != self._source) else found
+
+    def save_facts(self, engine: str, facts: dict[str, Any]) -> None:
+        """Keep what was measured of an engine itself."""
+        path = self.folder / f"facts_{engine.replace('+', '_')}_{self.device}.json"
+        write_text(path, json.dumps({**facts, "source": self._source}, indent=1) + "\n")

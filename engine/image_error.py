@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import asdict, dataclass
+from types import ModuleType
 
 import numpy as np
 
 from .errors import BurnishError
 
 __all__ = [
-    "LUMINANCE_WEIGHTS", "ImageError", "box_filter", "compare", "encode_srgb", "flip", "noise_rmse", "relative_mse",
-    "signed_difference",
+    "LUMINANCE_WEIGHTS", "ImageError", "box_filter", "compare", "encode_srgb", "flip", "flip_map", "noise_rmse",
+    "relative_mse", "signed_difference",
 ]
 
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)
@@ -68,14 +69,26 @@ def box_filter(image: np.ndarray, size: int) -> np.ndarray:
     return trimmed.reshape(height // size, size, width // size, size, channels).mean((1, 3))
 
 
-def flip(reference: np.ndarray, test: np.ndarray) -> float:
-    """Return the mean LDR-FLIP (Andersson et al. 2020) of two scene-linear pictures; raises BurnishError without it."""
+def flip_evaluator() -> ModuleType:
+    """Return NVIDIA's flip-evaluator; raises BurnishError without it."""
     try:
-        evaluator = importlib.import_module("flip_evaluator")
+        return importlib.import_module("flip_evaluator")
     except ImportError as error:
         raise BurnishError("FLIP needs the module 'flip_evaluator'; install it with `pip install flip-evaluator`"
                            ) from error
-    return float(evaluator.evaluate(encode_srgb(reference), encode_srgb(test), "LDR", inputsRGB=True)[1])
+
+
+def flip(reference: np.ndarray, test: np.ndarray) -> float:
+    """Return the mean LDR-FLIP (Andersson et al. 2020) of two scene-linear pictures; raises BurnishError without it."""
+    return float(flip_evaluator().evaluate(encode_srgb(reference), encode_srgb(test), "LDR", inputsRGB=True)[1])
+
+
+def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """Return LDR-FLIP of each pixel, 0..1 [h, w]; pixels of `test` that are not finite count as black."""
+    test = np.nan_to_num(test, nan=0.0, posinf=0.0, neginf=0.0)
+    errors = flip_evaluator().evaluate(encode_srgb(reference), encode_srgb(test), "LDR", inputsRGB=True,
+                                       applyMagma=False)[0]
+    return np.asarray(errors, np.float32).reshape(reference.shape[:2])
 
 
 def relative_mse(reference: np.ndarray, test: np.ndarray) -> float:

@@ -3,15 +3,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
+from burnish.engine.camera_flight import fly
 from burnish.engine.scene import CameraData, CameraKind
-
-PAN = np.radians(24.0)
-"""Over the whole flight"""
-DOLLY = 0.15
-"""Of the median depth, if nothing near is in the way"""
 
 
 def flight(camera: CameraData, positions: np.ndarray, count: int) -> list[CameraData]:
@@ -26,16 +20,7 @@ def flight(camera: CameraData, positions: np.ndarray, count: int) -> list[Camera
     seen = positions.any(-1)
     depth = -((positions[seen] - start[:3, 3]) @ start[:3, 2])
     near, middle = np.percentile(depth, (2, 50)) if depth.size else (1.0, 1.0)
-    way = min(DOLLY * middle, 0.4 * near)
-    cameras = []
-    for share in np.linspace(0.0, 1.0, count):
-        angle = 0.5 * PAN * np.sin(2.0 * np.pi * share)
-        turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
-        matrix = start.copy()
-        matrix[:3, :3] = start[:3, :3] @ turn
-        matrix[:3, 3] += way * share * (-start[:3, 2] + 0.5 * start[:3, 0])
-        cameras.append(dataclasses.replace(camera, transform=tuple(matrix.ravel().tolist())))
-    return cameras
+    return fly(camera, near=float(near), middle=float(middle), count=count)
 
 
 def project(camera: CameraData, points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

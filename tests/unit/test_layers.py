@@ -2,7 +2,7 @@
 """The structure of the package: which layer may import what, and the manners every file keeps.
 
 Layers, top first: addon (bpy, engine; ui and nothing else from register) and ui (bpy, engine.settings and presets),
-engine (kernels, Warp, NumPy; OpenImageIO in two files), kernels (Warp).
+engine (kernels, Warp, NumPy; OpenImageIO in three files), kernels (Warp).
 """
 
 from __future__ import annotations
@@ -37,14 +37,16 @@ INSIDE = {
 """Modules of the package that each layer may import."""
 KERNEL_STANDARD_LIBRARY = {"__future__", "math", "typing"}
 EXTRA = {
+    "engine/read.py": {"OpenImageIO"},
     "engine/textures.py": {"OpenImageIO"},
     "engine/write.py": {"OpenImageIO"},
     "addon/__init__.py": {"ui"},
     "addon/preferences.py": {"ui.properties"},
     "addon/services.py": {"ui.services"},
 }
-"""Exceptions: images are read and EXRs written by two files; register() is the one place that knows both sides; the
-add-on's preferences make their properties as the scene's are made; its services are what register() hands to ui."""
+"""Exceptions: images are read and EXRs read and written by three files; register() is the one place that knows both
+sides; the add-on's preferences make their properties as the scene's are made; its services are what register() hands
+to ui."""
 PRINTING = re.compile(r"^(addon/(cli|cli_\w+|bench|bench_\w+|progress)\.py)$")
 """Files that talk on standard output; all others report through Report or exceptions."""
 

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Burnish on the warm clock: pictures of a live session at time budgets, its frames while the camera moves.
+
+One final render fills a session with the scene, as F12 reads it; all own engines are then measured in it. Times start
+at a synchronized reset and end with the picture in an array of the processor, denoised where that is asked for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..engine.errors import BurnishError
+from ..engine.measure import (
+    Shot,
+    Stop,
+    View,
+    frame_curve,
+    frames_within,
+    moving_frames,
+    progressive_shots,
+    shoot,
+)
+from ..engine.settings import Integrator, RenderSettings
+from . import final
+from .bench_engines import BenchScene, KeptSession, kept_sessions, save_picture
+from .bench_plan import LONG
+from .bench_store import Job
+
+__all__ = ["LiveScene"]
+
+WARM_UP_SECONDS = 3.0
+"""Longest run before anything is timed: records launches, and path-traces where the picture rests soon enough"""
+CURVE_SHARE = 1.1
+"""The curve of frames reaches beyond the longest budget that it serves"""
+TOLERANCE = 1.02
+"""Share of a budget that a picture may take"""
+FULL = 0.9
+"""Share of a budget below which more frames are tried"""
+ATTEMPTS = 4
+MOVING_FRAMES = 48
+MOVING_SECONDS = 4.0
+TIMED_AT = 8
+"""Frame at rest whose sections are measured"""
+
+
+class LiveScene:
+    """A session with the open scene in it."""
+
+    def __init__(self, scene: BenchScene, repetitions: int, check: Callable[[], None],
+                 stopped: Callable[[], bool]) -> None:
+        self.scene, self.repetitions, self.check, self.stopped = scene, repetitions, check, stopped
+        self._session: KeptSession | None = None
+        self._settings: RenderSettings | None = None
+        self._view: View | None = None
+        self.facts: dict[str, dict[str, Any]] = {}
+
+    @property
+    def session(self) -> KeptSession:
+        """Return the session, filled by a final render when it is first asked for; raises BurnishError."""
+        if self._session is None:
+            self.scene.configure(Job(engine="realtime", samples=1))
+            with kept_sessions(keep=True) as opened:
+                self.scene.shoot()
+            if not opened or opened[-1].view is None:
+                raise BurnishError("Burnish's final render opened no session")
+            self._session = opened[-1]
+            self._settings, self._view = self._session.settings, self._session.view
+        return self._session
+
+    def close(self) -> None:
+        """Give the device's memory back."""
+        if self._session is not None:
+            self._session.keep = False
+            self._session.close()
+            self._session = None
+
+    def _select(self, *engines: str) -> list[Callable[[], np.ndarray]]:
+        """Set the session for engines of one integrator and return what ends each one's pictures."""
+        session = self.session
+        integrator = Integrator.REFERENCE if "reference" in engines else Integrator.REALTIME
+        sampling = dataclasses.replace(self._settings.sampling, integrator=integrator)
+        self.settings = dataclasses.replace(self._settings, sampling=sampling)
+        guides = final.GUIDES.get(integrator, ()) if any(engine.endswith("+oidn") for engine in engines) else ()
+        self.view = dataclasses.replace(self._view, passes=("Combined", *guides))
+        self.view.configure(session, self.settings)
+
+        def read() -> np.ndarray:
+            return session.read("Combined")[..., :3]
+
+        def read_denoised() -> np.ndarray:
+            return final.denoise(session.read("Combined"), [session.read(name) for name in guides])[..., :3]
+
+        return [read_denoised if engine.endswith("+oidn") else read for engine in engines]
+
+    def calibrate(self, engine: str, longest: float) -> dict[str, Any]:
+        """Return and keep an engine's curve of frames by seconds, up to about `longest`, and its time to finish."""
+        finish, = self._select(engine)
+        session = self.session
+        session.step(1)
+        finish()
+        denoiser = self.settings.denoiser
+        at_rest = denoiser.rest_frames + 2 if denoiser.path_traced_rest and engine != "reference" else 2
+        frame_curve(session, min(WARM_UP_SECONDS, CURVE_SHARE * max(longest, 0.1)),
+                    lambda: self.stopped() or session.samples_done >= max(at_rest, TIMED_AT))
+        self.check()
+        curve = frame_curve(session, CURVE_SHARE * min(longest, LONG), self.stopped)
+        self.check()
+        finishes = [shoot(session, 1, finish).finish for _ in range(max(1, self.repetitions))]
+        self.check()
+        facts = {"curve": curve, "finish": statistics.median(finishes), "device": session.device_name,
+                 "per_frame": curve[-1][1] / curve[-1][0], "scene": self._scene_facts(),
+                 "frame_times": self._sections() if engine != "reference" else {}, "skipped": dict(session.skipped)}
+        self.facts[engine] = facts
+        return facts
+
+    def _scene_facts(self) -> dict[str, Any]:
+        """Return what getting the scene there took [s], and what it is."""
+        stats = self.session.stats
+        times = {name: float(value) for name, value in stats.times.items() if name not in ("sampling", "read")}
+        return {"times": {"extraction": self.session.extraction, **times}, "triangles": stats.triangles,
+                "instances": stats.instances, "lights": stats.lights, "structure": stats.structure,
+                "device_bytes": stats.device_bytes}
+
+    def _sections(self) -> dict[str, float]:
+        """Return the milliseconds of each section of a frame at rest."""
+        session = self.session
+        session.reset()
+        session.step(TIMED_AT - 1)
+        session.timed = True
+        session.step(1)
+        session.timed = False
+        return dict(session.frame_times)
+
+    def render_short(self, engine: str, jobs: list[Job], facts: dict[str, Any], path_of: Callable[[Job], Path],
+                     begin: Callable[[Job], None], done: Callable[[Job, dict[str, Any]], None]) -> None:
+        """Render an engine's pictures at budgets up to LONG: each several times from nothing; the median time counts.
+
+        Args:
+            engine: Name of an own engine.
+            jobs: Of that engine, with budgets.
+            facts: From `calibrate`.
+            path_of: Gives a job's OpenEXR file.
+            begin: Called before each job; may raise.
+            done: Called with each job and its record.
+        """
+        finish, = self._select(engine)
+        for job in sorted(jobs, key=lambda job: job.budget):
+            begin(job)
+            shot, times = self._fill(job.budget, facts, finish)
+            self.check()
+            done(job, self._record(job, shot, times, facts, path_of(job)))
+
+    def render_long(self, jobs: list[Job], facts: dict[str, dict[str, Any]], path_of: Callable[[Job], Path],
+                    begin: Callable[[Job], None], done: Callable[[Job, dict[str, Any]], None]) -> None:
+        """Render pictures at budgets above LONG as stops of one run; arguments as of `render_short`.
+
+        Engines of one integrator share the run: the plain one then also bears the passes that guide the denoiser.
+        """
+        engines = list(dict.fromkeys(job.engine for job in jobs))
+        finishes = dict(zip(engines, self._select(*engines), strict=True))
+        spent = {job: facts[job.engine]["finish"] for job in jobs}
+        for last in (False, True):
+            jobs = sorted(jobs, key=lambda job: job.budget - spent[job])
+            stops = [Stop(job.budget, finishes[job.engine], spent[job]) for job in jobs]
+            curve = [tuple(point) for point in facts[jobs[0].engine]["curve"]]
+            shots = progressive_shots(self.session, stops, curve, self.stopped)
+            late = []
+            for job in jobs:
+                if not last:
+                    begin(job)
+                shot = next(shots, None)
+                self.check()
+                if shot is not None and shot.seconds > TOLERANCE * job.budget and not last:
+                    # Finishing took longer than it was thought to: once more, with what is known now.
+                    spent[job] = shot.finish
+                    late.append(job)
+                    continue
+                record = self._record(job, shot, [shot.seconds] if shot else [], facts[job.engine], path_of(job))
+                done(job, {**record, "shared": ", ".join(engines)} if len(engines) > 1 else record)
+            if not late:
+                return
+            jobs = late
+
+    def _fill(self, budget: float, facts: dict[str, Any], finish: Callable[[], np.ndarray],
+              ) -> tuple[Shot | None, list[float]]:
+        """Return a picture of as many frames as fit, and all times; None if one frame is too long."""
+        frames, best = max(1, frames_within(facts["curve"], budget - facts["finish"])), None
+        for _ in range(ATTEMPTS):
+            shots = [shoot(self.session, frames, finish, self.stopped) for _ in range(max(1, self.repetitions))]
+            self.check()
+            times = [shot.seconds for shot in shots]
+            median, rest = statistics.median(times), statistics.median(shot.finish for shot in shots)
+            fits = median <= TOLERANCE * budget
+            if fits and (best is None or frames > best[0].frames):
+                best = min(shots, key=lambda shot: abs(shot.seconds - median)), times
+            if (not fits and frames == 1) or median >= FULL * budget and fits:
+                break
+            # Less what finishing takes, which depends on no number of frames.
+            fitting = int(frames * max(0.0, budget - rest) / max(median - rest, 1e-9))
+            following = max(frames + 1, fitting) if fits else max(1, min(frames - 1, fitting))
+            if best is not None and (following <= best[0].frames or (fits and fitting <= frames)):
+                break
+            frames = following
+        return best or (None, times)
+
+    def _record(self, job: Job, shot: Shot | None, times: list[float], facts: dict[str, Any],
+                path: Path) -> dict[str, Any]:
+        record = {"engine": job.engine, "clock": job.clock, "budget": job.budget, "seed": 0, "device": facts["device"],
+                  "blender": bpy.app.version_string, "repetitions": times}
+        if shot is None:
+            first = statistics.median(times) if times else facts["curve"][0][1] + facts["finish"]
+            frame = "sample" if job.engine == "reference" else "frame"
+            return {**record, "samples": 0, "seconds": None,
+                    "no_picture": f"no picture: one {frame}, read back, takes {1e3 * first:.3g} ms"}
+        save_picture(path, shot.picture)
+        seconds = statistics.median(times)
+        last = "read-back and denoising" if job.engine.endswith("+oidn") else "read-back"
+        return {**record, "samples": shot.frames, "seconds": seconds, "wall": seconds,
+                "parts": {"device frames": shot.seconds - shot.finish, last: shot.finish}}
+
+    def render_moving(self, job: Job, path: Path) -> dict[str, Any]:
+        """Render the frames of a pan that ends in the scene's view; return the last picture's record."""
+        self._select("realtime")
+        moving = moving_frames(self.session, self.settings, self.view, MOVING_FRAMES, MOVING_SECONDS, self.stopped)
+        self.check()
+        save_picture(path, moving.picture)
+        return {"engine": job.engine, "clock": job.clock, "budget": 0.0, "samples": moving.frames, "seed": 0,
+                "device": self.session.device_name, "blender": bpy.app.version_string,
+                "seconds": moving.frame_seconds + moving.read_seconds,
+                "parts": {"device frames": moving.frame_seconds, "read-back": moving.read_seconds},
+                "frame_times": moving.sections}
