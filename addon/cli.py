@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: `burnish render|bench|warmup|info`, the same as `blender --command burnish ...`.
+"""The command line: `burnish render|bench|stress|warmup|info`, the same as `blender --command burnish ...`.
 
 Owns the options and the contract with whoever calls it: results on standard output, on failure exit status 1 and
 exactly one sentence on standard error. Options are parsed before bpy is imported; the commands are in cli_render.py,
-bench.py and here.
+bench.py, stress.py and here.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def add_setting(parser: argparse.ArgumentParser, settings_class: type, name: str
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line; each command's function is in `run`."""
-    from . import bench
+    from . import bench, stress
 
     parser = Parser(prog="burnish", description="Render .blend files with Burnish.", epilog=EXAMPLES,
                     formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -80,6 +80,7 @@ def make_parser() -> argparse.ArgumentParser:
     bench_parser = commands.add_parser("bench", help="measure speed and error on scenes")
     bench.add_arguments(bench_parser)
     bench_parser.set_defaults(run=run_bench)
+    stress.add_command(commands)
     warmup = commands.add_parser("warmup", help="compile all kernels ahead of the first render")
     add_setting(warmup, RenderSettings, "device", "--device")
     warmup.set_defaults(run=run_warmup)

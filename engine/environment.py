@@ -54,7 +54,7 @@ def build_environment(
     """
     environment = no_environment(device, world)
     if environment.constant == 1:
-        assemble(environment, float(np.mean(environment.radiance)) * 4.0 * np.pi)
+        assemble(environment, float(np.mean(np.array(environment.radiance, np.float64))) * 4.0 * np.pi)
         return wp.zeros(1, dtype=wp.vec3, device=device)
     scene = assemble(environment, 0.0)
     width = max(int(world.importance_resolution), 4)
@@ -74,7 +74,7 @@ def build_environment(
                 [importance, radiance], device=device)
 
         run_bands(bake(low, high) for low, high in zip(rows[:-1], rows[1:], strict=True) if high > low)
-    values = importance.numpy().astype(np.float64)
+    values = np.nan_to_num(importance.numpy().astype(np.float64))
     theta = np.pi * (np.arange(height) + 0.5) / height
     integral = values.sum() * (2.0 * np.pi / width) * (np.pi / height)
     uniform = np.repeat(np.sin(theta), width)

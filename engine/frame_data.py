@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..kernels.types import FrameData
@@ -10,6 +12,14 @@ from .errors import InvalidScene
 from .scene import CameraData, CameraKind
 
 __all__ = ["frame_row"]
+
+FARTHEST = 1e17
+"""Metres: squares of distances stay within float32"""
+
+
+def _within(value: float, fallback: float, low: float, high: float) -> float:
+    """Return a number between two bounds; `fallback` for NaN."""
+    return fallback if math.isnan(value) else min(max(value, low), high)
 
 
 def frame_row(
@@ -42,13 +52,15 @@ def frame_row(
     row["window"] = camera.window
     orthographic = camera.kind == CameraKind.ORTHOGRAPHIC
     row["orthographic"] = int(orthographic)
-    row["clip_start"] = max(camera.clip_start, 0.0)
-    row["clip_end"] = min(max(camera.clip_end, camera.clip_start), 1e17)
-    row["aperture_radius"] = max(camera.aperture_radius, 0.0)
-    row["focus_distance"] = max(camera.focus_distance, 1e-6)
+    start = _within(camera.clip_start, 0.0, 0.0, FARTHEST)
+    row["clip_start"] = start
+    row["clip_end"] = _within(camera.clip_end, FARTHEST, start, FARTHEST)
+    row["aperture_radius"] = _within(camera.aperture_radius, 0.0, 0.0, FARTHEST)
+    row["focus_distance"] = _within(camera.focus_distance, FARTHEST, 1e-6, FARTHEST)
     row["aperture_blades"] = camera.aperture_blades
-    row["aperture_rotation"] = camera.aperture_rotation
-    row["aperture_ratio"] = max(camera.aperture_ratio, 1e-3)
+    row["aperture_rotation"] = math.fmod(camera.aperture_rotation, 2.0 * math.pi) if math.isfinite(
+        camera.aperture_rotation) else 0.0
+    row["aperture_ratio"] = _within(camera.aperture_ratio, 1.0, 1e-3, 1e3)
     row["width"], row["height"] = width, height
     row["crop_x"], row["crop_y"], row["crop_width"], row["crop_height"] = crop
     row["seed"] = seed

@@ -16,7 +16,14 @@ __all__ = ["lamp_array", "lamp_bounds", "lamp_power"]
 # Spreads below this are drawn as this [rad]; a spread of 0 is a beam that no sample could find.
 MIN_SPREAD = math.radians(0.5)
 
+# Radii below this are drawn as points [m]: their radiance would not fit float32.
+MIN_RADIUS = 1e-9
+
 KINDS = {LightKind.POINT: 0, LightKind.SUN: 1, LightKind.SPOT: 2, LightKind.AREA: 3}
+
+
+NUMBERS = ("radius", "angle", "spot_size", "spot_blend", "size_x", "size_y", "spread")
+"""Fields of LightData that are single numbers"""
 
 
 def _unit(vector: np.ndarray, fallback: tuple[float, float, float]) -> np.ndarray:
@@ -26,7 +33,7 @@ def _unit(vector: np.ndarray, fallback: tuple[float, float, float]) -> np.ndarra
 
 def _round_lamp(row: np.void, light: LightData, matrix: np.ndarray) -> None:
     """Fill in a point or spot lamp: radiance P / (4 pi^2 r^2), intensity P / 4 pi for radius 0."""
-    radius = max(light.radius, 0.0)
+    radius = light.radius if light.radius >= MIN_RADIUS else 0.0
     color = np.asarray(light.color, np.float64)
     # Without normalisation the strength is not divided by the area.
     area = 4.0 * math.pi * radius * radius if radius > 0 else 4.0
@@ -96,21 +103,26 @@ def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> n
     for light in lights:
         matrix = np.asarray(light.transform, np.float64)
         row = np.zeros((), types.Light.numpy_dtype())
+        if not (np.isfinite(matrix).all() and np.isfinite([getattr(light, name) for name in NUMBERS]).all()):
+            report.add(ReportKind.ERROR, f"light '{light.name}'", "place, size or angle is not finite; left out")
+            continue
         row["kind"] = KINDS[light.kind]
         row["position"] = matrix[:3, 3] - origin
         row["direction"] = _unit(-matrix[:3, 2], (0.0, 0.0, -1.0))
         row["visibility"] = light.visibility
         row["flags"] = 0 if light.cast_shadow else 4
-        if light.kind == LightKind.AREA:
-            _area_lamp(row, light, matrix, report)
-            if row["area"] <= 0:
-                report.add(ReportKind.SKIPPED, f"light '{light.name}'", "an area lamp without size gives no light")
-                continue
-        elif light.kind == LightKind.SUN:
-            _sun(row, light)
-        else:
-            _round_lamp(row, light, matrix)
-        if not np.isfinite(row["radiance"]).all() or not np.isfinite(row["position"]).all():
+        # What doesn't fit float32 overflows, and is left out below.
+        with np.errstate(over="ignore"):
+            if light.kind == LightKind.AREA:
+                _area_lamp(row, light, matrix, report)
+                if row["area"] <= 0:
+                    report.add(ReportKind.SKIPPED, f"light '{light.name}'", "an area lamp without size gives no light")
+                    continue
+            elif light.kind == LightKind.SUN:
+                _sun(row, light)
+            else:
+                _round_lamp(row, light, matrix)
+        if not all(np.isfinite(row[name]).all() for name in row.dtype.names):
             report.add(ReportKind.ERROR, f"light '{light.name}'", "strength or position is not finite; left out")
             continue
         if (np.asarray(row["radiance"]) != 0).any():

@@ -50,6 +50,8 @@ def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> Li
         high: float [N, 3], upper bounds.
         power: float [N], finite, not negative [W].
     """
+    # Of triangles too far away for float32.
+    low, high = (np.clip(np.nan_to_num(np.asarray(bounds, np.float64)), -1e30, 1e30) for bounds in (low, high))
     count = len(power)
     levels = max(int(np.ceil(np.log2(max(count, 1)))), 0)
     leaves = 1 << levels
@@ -77,6 +79,7 @@ def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> Li
     bounds_low[empty] = bounds_high[empty] = 0.0
     # Among n lights in a ball of radius r the nearest is about r / n^(1/3) away.
     nearest = 0.25 * ((bounds_high - bounds_low) ** 2).sum(1) / np.maximum(inside, 1.0) ** (2.0 / 3.0)
+    nearest = np.minimum(nearest, np.finfo(np.float32).max)
     share = total / (total[1] if total[1] > 0 else 1.0)
     entries = np.full(leaves, -1, np.int32)
     entries[:count] = order

@@ -51,8 +51,8 @@ class SanitizeCounts:
 def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     """Return the drawable part of `mesh` and the counts of what was wrong; the argument stays as it is.
 
-    Vertices are kept even where no triangle uses them any more, but those that aren't finite become the origin,
-    so that bounds made from them are finite.
+    Slots below 0 become the first. Vertices are kept even where no triangle uses them any more, but those that
+    aren't finite become the origin, so that bounds made from them are finite.
     """
     triangles, positions = mesh.triangles, mesh.positions
     keep, counts = _classify_triangles(positions, triangles)
@@ -60,6 +60,8 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
         mesh = _take_triangles(mesh, keep)
     if counts.non_finite or counts.too_far:
         mesh = replace(mesh, positions=_finite_positions(positions))
+    if len(mesh.material_slots) and mesh.material_slots.min() < 0:
+        mesh = replace(mesh, material_slots=np.maximum(mesh.material_slots, 0))
     normals, normal_count = _repair_normals(mesh)
     uv_maps, uv_count = _repair_arrays(mesh.uv_maps)
     attributes, attribute_count = _repair_arrays(mesh.attributes)

@@ -114,6 +114,10 @@ def expand_channels(pixels: np.ndarray, *, gray_alpha: bool = True) -> np.ndarra
     return rgba
 
 
+LARGEST = np.float32(1e30)
+"""Larger values are taken for this: sums of a few of them stay within float32"""
+
+
 def clean(rgba: np.ndarray) -> tuple[np.ndarray, int]:
     """Set every texel with a channel that is not finite to 0, as Cycles does; return the result and how many were."""
     if rgba.dtype.kind != "f":
@@ -123,6 +127,8 @@ def clean(rgba: np.ndarray) -> tuple[np.ndarray, int]:
     if count:
         rgba = rgba.copy()
         rgba[bad] = 0
+    if rgba.dtype == np.float32 and rgba.size and max(rgba.max(), -rgba.min()) > LARGEST:
+        rgba = np.clip(rgba, -LARGEST, LARGEST)
     return rgba, count
 
 

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""White furnaces: closed boxes that emit and reflect, and white balls under a white sky, of every kind of surface.
+
+A closed box of emission e whose walls return the share rho of all light has radiance e / (1 - rho) everywhere, at any
+scale. The share is exact for a white surface of weight rho: the colour of a metal or a plastic alone would not set
+it, since light that grazes them is reflected whatever their colour.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from ..settings import Integrator
+from .cases import BOTH, Case, Trial, luminance
+from .scenes import EYE, Placed, StressScene, balls_in_sky, box, look_at, make_scene, principled, scaled_and_moved
+
+__all__ = ["CASES"]
+
+ROUGHNESSES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+ALBEDOS = {0.0: 0.01, 0.5: 0.01, 0.8: 0.01, 0.9: 0.01, 0.95: 0.02}
+"""Shares of light that walls return, with what the radiance may be off"""
+FLAT_TOLERANCE = 0.01
+GLASS_TOLERANCE = 0.03
+"""Rough glass keeps 98 % of the light in Cycles, and here"""
+SCALES = (1e-3, 1.0, 1e3)
+EMISSION = 0.5
+
+BOX_SIZE = {Integrator.REFERENCE: (32, 24), Integrator.REALTIME: (48, 36)}
+BALLS_SIZE = (144, 24)
+
+PATHS = {"quick": {0.0: 8, 0.5: 48, 0.8: 96, 0.9: 192, 0.95: 192},
+         "full": {0.0: 64, 0.5: 512, 0.8: 1024, 0.9: 2048, 0.95: 4096}}
+"""Samples a pixel by albedo: how long paths are, and how uneven, goes with 1 / (1 - albedo)"""
+FRAMES = {"quick": {0.0: 16, 0.5: 48, 0.8: 128, 0.9: 256, 0.95: 384},
+          "full": {0.0: 64, 0.5: 128, 0.8: 256, 0.9: 384, 0.95: 768}}
+
+
+def closed_box(albedo: float, size: tuple[int, int], **arguments: float) -> StressScene:
+    """Return a cube of side 2 m that emits EMISSION inwards and returns a share of all light, seen from inside."""
+    wall = principled(albedo, EMISSION, color=1.0, **arguments)
+    camera = look_at((0.3, -0.8, 0.2), (-0.2, 1.0, -0.3), size, 1.4)
+    return make_scene({"box": box((-1, -1, -1), (1, 1, 1), inward=True)}, [Placed("box", "wall", EYE)],
+                      {"wall": wall}, camera)
+
+
+def surfaces(trial: Trial) -> Sequence[dict[str, float]]:
+    """Return arguments of walls: roughness x metallic x IOR."""
+    if trial.quick:
+        return ({"roughness": 0.25, "metallic": 1.0}, {"roughness": 1.0, "metallic": 0.0})
+    opaque = itertools.product(ROUGHNESSES, (0.0,), (1.0, 1.5, 3.0))
+    metals = itertools.product(ROUGHNESSES, (1.0,), (1.5,))
+    return [{"roughness": r, "metallic": m, "ior": i} for r, m, i in (*opaque, *metals)]
+
+
+def run_box(trial: Trial, albedo: float, integrator: Integrator) -> None:
+    """Find e / (1 - albedo) in closed boxes of every surface, each at one of the scales."""
+    expected, tolerance = EMISSION / (1.0 - albedo), ALBEDOS[albedo]
+    amounts = PATHS if integrator == Integrator.REFERENCE else FRAMES
+    amount = amounts["quick" if trial.quick else "full"][albedo]
+    size = BOX_SIZE[integrator]
+    for number, arguments in enumerate(surfaces(trial)):
+        scale = SCALES[number % len(SCALES)]
+        scene = scaled_and_moved(closed_box(albedo, size, **arguments), scale)
+        picture = trial.render(scene, integrator, amount, size)
+        name = " ".join(f"{key} {value:g}" for key, value in {**arguments, "scale": scale}.items())
+        trial.check_energy(name, luminance(picture).mean() / expected, tolerance)
+
+
+def run_balls(trial: Trial, integrator: Integrator, glass: bool) -> None:
+    """Find the sky's radiance on white balls of every roughness, metallic and IOR: they can't be told from it."""
+    metals = ((0.0, 1.5),) if glass else ((0.0, 1.5), (1.0, 1.5), (0.0, 1.0), (0.0, 3.0), (0.5, 1.33))
+    metals = trial.choose(metals[:1], metals)
+    iors = ((1.5,) if trial.quick else (1.0, 1.33, 1.5, 2.4)) if glass else (None,)
+    amount = trial.choose(32, 1024) if integrator == Integrator.REFERENCE else trial.choose(32, 128)
+    tolerance = GLASS_TOLERANCE if glass else FLAT_TOLERANCE
+    mask = ball_masks(len(ROUGHNESSES), BALLS_SIZE)
+    for (metallic, ior), glass_ior in itertools.product(metals, iors):
+        arguments = {"metallic": metallic, "ior": glass_ior or ior, "transmission": float(glass)}
+        materials = [principled(color=1.0, roughness=roughness, **arguments) for roughness in ROUGHNESSES]
+        light = luminance(trial.render(balls_in_sky(materials, BALLS_SIZE), integrator, amount, BALLS_SIZE))
+        for roughness, inside in zip(ROUGHNESSES, mask, strict=True):
+            name = f"roughness {roughness:g} metallic {metallic:g} IOR {arguments['ior']:g}"
+            trial.check_energy(name, light[inside].mean(), tolerance)
+
+
+def ball_masks(count: int, size: tuple[int, int]) -> list[np.ndarray]:
+    """Return which pixels show nothing but a ball, one mask [h, w] for each ball of balls_in_sky."""
+    x = ((np.arange(size[0]) + 0.5) / size[0] - 0.5) * count
+    y = ((np.arange(size[1]) + 0.5) / size[1] - 0.5) * count * size[1] / size[0]
+    places = np.arange(count) - 0.5 * (count - 1)
+    radius = 0.45 - 1.5 * count / size[0]
+    return [np.hypot(x[None, :] - place, y[:, None]) < radius for place in places]
+
+
+def make_cases() -> tuple[Case, ...]:
+    """Return all furnaces."""
+    cases = []
+    for integrator in BOTH:
+        for albedo, tolerance in ALBEDOS.items():
+            cases.append(Case(
+                f"furnace: closed box, albedo {albedo:g}, {integrator}", f"energy within {tolerance:.0%}",
+                partial(run_box, albedo=albedo, integrator=integrator), quick=albedo == 0.5))
+        cases.append(Case(f"furnace: white balls, {integrator}", f"energy within {FLAT_TOLERANCE:.0%}",
+                          partial(run_balls, integrator=integrator, glass=False)))
+        cases.append(Case(f"furnace: glass balls, {integrator}",
+                          f"energy within {GLASS_TOLERANCE:.0%} (rough glass loses as much in Cycles)",
+                          partial(run_balls, integrator=integrator, glass=True)))
+    return tuple(cases)
+
+
+CASES = make_cases()
