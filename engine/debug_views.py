@@ -55,6 +55,7 @@ DEBUG_VIEWS: dict[str, str] = {
     "composite.indirect": "Indirect light with the surfaces' colours",
     "composite.reflection": "Indirect light that the surfaces reflect, with their colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
-    "rest.weight": "Share of path-traced samples in the picture, once it has been at rest for long: white is all",
+    "rest.weight": "Share of the finest detail that comes from path-traced samples, once the picture has been at rest "
+                   "for some frames: white is all",
 }
 """Help by name; a name is its pass and what it shows"""

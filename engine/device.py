@@ -23,24 +23,26 @@ from .settings import Device
 
 __all__ = [
     "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "kernel_cache_folder", "launch",
-    "run_bands", "start_warp", "thread_count",
+    "run_bands", "start_warp", "thread_count", "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
 # when its slowest warp is done: on an H100 a sample of Sponza takes 45.2, 38.9 and 37.5 ms with 256, 128 and 64.
 PATH_BLOCK = 64
 BLOCK_SIZES = dict.fromkeys(
-    ("tracing", "flat_tracing", "misses", "layers", "layers_lean", "materials", "reference", "shadow_layers",
-     "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers", "gbuffer_layers_lean", "gbuffer_lean",
-     "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials", "cache_lights", "cache_programs",
-     "direct_candidates", "direct_shadow", "direct_shade", "probe_interpolate", "reproject", "reflection_choice",
-     "reflection_lean",     "reflection_materials", "reflection_refract", "reflection_start", "reflection_trace"),
+    ("tracing", "flat_tracing", "flat_paths", "misses", "layers", "layers_lean", "materials", "reference",
+     "shadow_layers", "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers", "gbuffer_layers_lean",
+     "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials", "cache_lights",
+     "cache_programs", "direct_candidates", "direct_shadow", "direct_shade", "probe_interpolate", "reproject",
+     "reflection_choice", "reflection_lean", "reflection_materials", "reflection_refract", "reflection_start",
+     "reflection_tail", "reflection_trace"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
 
 _start_lock = threading.Lock()
 _started = False
 _pool: ThreadPoolExecutor | None = None
+_threads = 0
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,16 @@ def device_errors(what: str) -> Iterator[None]:
 
 def thread_count() -> int:
     """Return how many threads render on the CPU."""
-    return max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    return _threads or max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def use_threads(count: int) -> None:
+    """Render on the CPU with so many threads from now on, whatever the number of cores; 0: one for each core."""
+    global _threads, _pool
+    with _start_lock:
+        if _pool is not None:
+            _pool.shutdown()
+        _threads, _pool = count, None
 
 
 def run_bands(jobs: Iterable[Callable[[], None]]) -> None:

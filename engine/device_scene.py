@@ -17,7 +17,7 @@ from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore
 from .lamps import lamp_array, lamp_power
 from .light_table import SUN, build_lights
-from .materials import MaterialTable, default_material
+from .materials import MaterialTable, default_material, materials_in_use
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
 from .settings import PerformanceSettings
@@ -80,6 +80,8 @@ class DeviceScene:
         self.environment_power = 0.0
         self.local_power = 0.0
         """Of all lamps with a place and all emissive triangles [W]"""
+        self.power = 0.0
+        """Of all light that reaches the scene, suns and the world included [W]"""
         self.environment_built = False
         self.light_struct = build_lights(self.lamps, self.emitters, 0.0, 1.0, device)
         self.scene = types.Scene()
@@ -230,9 +232,11 @@ class DeviceScene:
         low = np.array([r.low for r in ranges]).reshape(-1, 3)[pick]
         high = np.array([r.high for r in ranges]).reshape(-1, 3)[pick]
         linear = table.transforms[:, :3, :3]
-        center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
-        half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
+        with np.errstate(over="ignore", invalid="ignore"):
+            center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
+            half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
         drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
+        center, half = np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
         if self.plan is None:
             self._choose_origin(center[drawn], half[drawn])
         self.drawn, self.low, self.high = drawn, center - half - self.origin, center + half - self.origin
@@ -281,12 +285,16 @@ class DeviceScene:
         rows = np.zeros(count, types.Instance.numpy_dtype())
         matrices = table.transforms.copy()
         matrices[:, :3, 3] -= self.origin
-        matrices[~np.isfinite(matrices).all((1, 2))] = np.eye(4)
+        matrices[~(np.abs(matrices) <= np.finfo(np.float32).max).all((1, 2))] = np.eye(4)
         determinant = np.linalg.det(matrices[:, :3, :3])
         safe = matrices.copy()
         safe[determinant == 0] = np.eye(4)
         rows["to_world"] = matrices
-        rows["to_object"] = np.linalg.inv(safe)
+        with np.errstate(over="ignore"):
+            inverse = np.linalg.inv(safe).astype(np.float32)
+        # Of what is too small for float32 to have an inverse: rays never meet it.
+        inverse[~np.isfinite(inverse).all((1, 2))] = np.eye(4)
+        rows["to_object"] = inverse
         rows["flipped"] = determinant < 0
         pick = table.mesh_index
         rows["mesh"] = np.array([r.row for r in ranges], np.int32)[pick] if ranges else 0
@@ -304,6 +312,7 @@ class DeviceScene:
         rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)
         rows["color"] = table.color
         self.rows = rows
+        self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
         self.instance_materials = self._overwrite(
             self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
@@ -334,6 +343,8 @@ class DeviceScene:
         self.lamps = lamp_array(self.lights, self.origin, self.report)
         local = self.lamps[self.lamps["kind"] != SUN]
         self.local_power = float(lamp_power(local, self.radius).sum() + self.emitters.power.sum())
+        self.power = float(lamp_power(self.lamps, self.radius).sum() + self.emitters.power.sum()
+                           + self.environment_power * np.pi * self.radius**2)
         sampled_world = self.world is not None and self.world.sampling
         self.light_struct = build_lights(
             self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device)
@@ -346,14 +357,8 @@ class DeviceScene:
 
     def _assemble(self) -> types.Scene:
         geometry = types.Geometry()
-        structures, store = self.structures, self.store
-        geometry.static_bvh = structures.opaque.id if structures.opaque is not None else 0
-        geometry.static_filtered_bvh = structures.filtered.id if structures.filtered is not None else 0
-        geometry.static_faces = structures.opaque_faces
-        geometry.static_filtered_faces = structures.filtered_faces
-        geometry.instance_bvh = structures.bvh.id if structures.bvh is not None else 0
-        geometry.bvh_instances = structures.bvh_instances
-        geometry.mesh_faces = structures.mesh_faces
+        store = self.store
+        self.structures.write(geometry)
         geometry.instances = self.instances
         geometry.triangles = store.triangles.array
         geometry.slots = store.slots.array

@@ -5,6 +5,10 @@ Passes add launches once; after that a frame costs no Python for each kernel. La
 frozen in the record, so what changes from frame to frame lives in device arrays (kernels/view.py). A kernel that
 writes only its own elements is `banded` and takes the index of its first element as its first argument; one with an
 atomic or a scattered write is not, and runs in one launch.
+
+On CUDA parts of a frame that need nothing of each other are branches of the graph, which run side by side: kernels
+that wait for memory or for their longest rays leave room for others. Elsewhere, and while sections are timed, launches
+run one by one in the order in which they were recorded.
 """
 
 from __future__ import annotations
@@ -31,6 +35,9 @@ BAND_MINIMUM = 256
 LISTS = 64
 """Counters of lists that are set to zero at once"""
 
+TRUNK = ""
+"""Name of what is on no branch"""
+
 
 @dataclass
 class _Step:
@@ -40,8 +47,12 @@ class _Step:
     launches: list[wp.Launch] = field(default_factory=list)
     action: Callable[[], None] | None = None
     kernel: str = "clear"
-    keep: tuple = ()
-    """Arrays and structs that recorded launches point to"""
+    reads: tuple = ()
+    """Arrays, structs and numbers that recorded launches point to"""
+    writes: tuple = ()
+    branch: str = TRUNK
+    after: str | None = None
+    """No launch: the branch waits for all that this one holds so far"""
 
     def run(self) -> None:
         if self.action is not None:
@@ -68,6 +79,8 @@ class FrameGraph:
         self._counts: wp.array | None = None
         self._lists = 0
         self._section = ""
+        self._branch = TRUNK
+        self._open: set[str] = set()
         self._graph: wp.Graph | None = None
 
     @contextmanager
@@ -79,13 +92,42 @@ class FrameGraph:
         finally:
             self._section = outer
 
+    @contextmanager
+    def branch(self, name: str) -> Iterator[None]:
+        """Put the launches inside on a branch: they come after all before them, and those after them need not wait.
+
+        What reads their results, or writes what they read, comes after `join`. A branch that is entered again goes on
+        where it was.
+        """
+        outer = self._branch
+        self._wait(name, outer)
+        self._branch = name
+        self._open.add(name)
+        try:
+            yield
+        finally:
+            self._branch = outer
+
+    def join(self, *names: str) -> None:
+        """Let what follows wait for branches; those that have nothing in them are no error."""
+        for name in names:
+            if name in self._open and name != self._branch:
+                self._wait(self._branch, name)
+
+    def _wait(self, branch: str, after: str) -> None:
+        if branch != after:
+            self._steps.append(_Step(self._section, branch=branch, after=after))
+
     def skip(self, name: str, reason: str) -> None:
         """Note that a section is left out and why, for the timing panel."""
         self.skipped[name] = reason
 
+    def _step(self, kernel: str, reads: list, writes: list) -> _Step:
+        return _Step(self._section, kernel=kernel, reads=tuple(reads), writes=tuple(writes), branch=self._branch)
+
     def launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True) -> None:
         """Record a launch of `count` threads; a banded kernel's first argument (`first`) is added here."""
-        step = _Step(self._section, kernel=kernel.key, keep=(inputs, outputs))
+        step = self._step(kernel.key, inputs, outputs)
         for low, high in self._bands(count if banded else 0) or [(0, count)]:
             step.launches.append(record(
                 kernel, [low, *inputs] if banded else inputs, outputs, self.device, high - low))
@@ -96,7 +138,7 @@ class FrameGraph:
 
         Such kernels write only their own path, so a band takes a part of the queue.
         """
-        step = _Step(self._section, kernel=kernel.key, keep=(inputs, queue, outputs))
+        step = self._step(kernel.key, [*inputs, queue], outputs)
         for low, high in self._bands(len(queue)):
             step.launches.append(record(kernel, [*inputs, queue[low:high]], outputs, self.device, high - low))
         self._steps.append(step)
@@ -122,7 +164,7 @@ class FrameGraph:
 
         Its last inputs are the number of threads, the number of elements and the list; thread i takes elements i,
         i + threads, ... It must leave elements alone that need no work: on the processor all are in the list.
-        `few`: most of the list's room is empty as a rule.
+        `few`: as of FEW_THREADS.
         """
         if self.cuda:
             threads = min(len(work.queue), FEW_THREADS if few else LISTED_THREADS)
@@ -140,11 +182,15 @@ class FrameGraph:
     def clear(self, *arrays: wp.array) -> None:
         """Record setting arrays to zero."""
         for array in arrays:
-            self._steps.append(_Step(self._section, action=array.zero_))
+            self._steps.append(_Step(self._section, action=array.zero_, writes=(array,), branch=self._branch))
 
     def call(self, action: Callable[[], None], name: str = "call") -> None:
         """Record a host call that only issues device work (a scan): it must be fit for capture."""
-        self._steps.append(_Step(self._section, action=action, kernel=name))
+        self._steps.append(_Step(self._section, action=action, kernel=name, branch=self._branch))
+
+    def launch_list(self) -> list[tuple[str, str]]:
+        """Return section and kernel of each step that runs, in the frame's order; clearing an array is one too."""
+        return [(step.section, step.kernel) for step in self._launches()]
 
     def replay(self, timed: bool = False) -> None:
         """Run the frame; `timed` measures every section (and on CUDA waits for each)."""
@@ -152,19 +198,34 @@ class FrameGraph:
             self._replay_timed()
             return
         if not self.cuda:
-            for step in self._steps:
+            for step in self._launches():
                 step.run()
             return
         if self._graph is None:
-            with wp.ScopedCapture(self.device, force_module_load=False) as capture:
-                for step in self._steps:
-                    step.run()
-            self._graph = capture.graph
+            self._graph = self._capture()
         wp.capture_launch(self._graph)
 
+    def _launches(self) -> list[_Step]:
+        return [step for step in self._steps if step.after is None]
+
+    def _capture(self) -> wp.Graph:
+        """Capture the steps, each branch on a stream of its own: what streams wait for become the graph's edges."""
+        streams = {name: wp.Stream(self.device) for name in self._open}
+        with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+            trunk = streams[TRUNK] = wp.get_stream(self.device)
+            for step in self._steps:
+                if step.after is not None:
+                    streams[step.branch].wait_stream(streams[step.after])
+                else:
+                    with wp.ScopedStream(streams[step.branch], sync_enter=False):
+                        step.run()
+            for name in self._open:
+                trunk.wait_stream(streams[name])
+        return capture.graph
+
     def _replay_timed(self) -> None:
-        elapsed = []
-        for step in self._steps:
+        elapsed, steps = [], self._launches()
+        for step in steps:
             start = time.perf_counter()
             if self.cuda:
                 before = wp.Event(self.device, enable_timing=True)
@@ -180,6 +241,6 @@ class FrameGraph:
             wp.synchronize_device(self.device)
             elapsed = [wp.get_event_elapsed_time(before, after) for before, after in elapsed]
         self.times, self.kernel_times = {}, {}
-        for step, milliseconds in zip(self._steps, elapsed, strict=True):
+        for step, milliseconds in zip(steps, elapsed, strict=True):
             self.times[step.section] = self.times.get(step.section, 0.0) + milliseconds
             self.kernel_times[step.kernel] = self.kernel_times.get(step.kernel, 0.0) + milliseconds

@@ -38,6 +38,8 @@ class MeshRange:
     """int32 [T, 3], vertex indices within the mesh"""
     slots: np.ndarray
     """int32 [T]"""
+    used_slots: np.ndarray
+    """Those that any triangle has, ascending"""
     generated: tuple[np.ndarray, np.ndarray]
 
 
@@ -164,7 +166,8 @@ class GeometryStore:
             row=row, vertex_start=starts[0], vertex_count=len(mesh.positions), triangle_start=starts[1],
             triangle_count=len(mesh.triangles), uv_start=starts[2], uv_count=uv_count, attribute_start=starts[3],
             attribute_count=attribute_count, uv_names=tuple(mesh.uv_maps), attribute_names=tuple(mesh.attributes),
-            low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots, generated=generated)
+            low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots,
+            used_slots=np.unique(mesh.material_slots), generated=generated)
 
     def drop(self, key: Key) -> None:
         """Forget a mesh; its room is won back at the next full build."""

@@ -56,16 +56,24 @@ class LeanPrograms:
     surface: bool = True
     flat: bool = True
     transparency: bool = True
+    plain: bool = True
+    """Surface programs where glass may be a part of the closure"""
 
 
-def is_lean(code: Sequence[Instruction], program: Program) -> bool:
-    """Return whether the lean machine can run a surface or flat program: one of `program`'s lists."""
+def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:
+    """Return whether the lean machine can run a surface or flat program: one of `program`'s lists.
+
+    Args:
+        code: The list.
+        program: Whose constants it reads.
+        glass: Whether the closure may let light through (node_lean.plain_bsdf).
+    """
     closures = [at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE]
     if not closures:
         return _known(code, SURFACE_OPERATIONS)
     # The machine stops at a closure, so nothing but its arguments may follow.
     ends = closures[0] + code[closures[0]][2] + 1 == len(code)
-    return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0])
+    return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0], glass)
 
 
 def is_lean_transparency(program: Program) -> bool:
@@ -84,8 +92,8 @@ def _known(code: Sequence[Instruction], known: dict[int, Callable[[int], bool]])
     return True
 
 
-def _is_plain(code: Sequence[Instruction], program: Program, at: int) -> bool:
-    """Return whether a closure has no lobe besides metal, dielectric and Lambert's, whatever its arguments."""
+def _is_plain(code: Sequence[Instruction], program: Program, at: int, glass: bool) -> bool:
+    """Return whether a closure has no lobe besides metal, dielectric, Lambert's and perhaps glass."""
     def is_zero(slot: int) -> bool:
         operand = code[at + 1 + slot // 3][1 + slot % 3]
         return operand < 0 and program.constants[-1 - operand][:3] == (0.0, 0.0, 0.0)
@@ -93,4 +101,4 @@ def _is_plain(code: Sequence[Instruction], program: Program, at: int) -> bool:
     if code[at][0] >> 16 & 255 == CLOSURE_DIFFUSE:
         return is_zero(codes.ARG_ROUGHNESS)
     isotropic = is_zero(codes.ARG_ANISOTROPIC) or is_zero(codes.ARG_TANGENT)
-    return isotropic and all(is_zero(slot) for slot in ZERO_ARGUMENTS)
+    return isotropic and all(is_zero(slot) for slot in ZERO_ARGUMENTS if not (glass and slot == codes.ARG_TRANSMISSION))

@@ -16,6 +16,7 @@ from ..kernels.types import (
     MATERIAL_LEAN,
     MATERIAL_LEAN_FLAT,
     MATERIAL_LEAN_TRANSPARENCY,
+    MATERIAL_PLAIN,
     MATERIAL_TRANSPARENCY,
     Material,
     Materials,
@@ -24,9 +25,9 @@ from .lean import LeanPrograms, is_lean, is_lean_transparency
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
-from .scene import CameraData, CameraKind, MaterialData
+from .scene import CameraData, CameraKind, InstanceTable, MaterialData
 
-__all__ = ["MaterialTable", "attribute_names", "default_material", "uv_map_names"]
+__all__ = ["MaterialTable", "attribute_names", "default_material", "materials_in_use", "uv_map_names"]
 
 END = (codes.OP_END, 0, 0, 0)
 
@@ -36,6 +37,23 @@ def default_material() -> MaterialData:
     builder = ProgramBuilder()
     builder.closure("DIFFUSE", 1.0, color=0.8)
     return MaterialData(name="Default", program=builder.finish())
+
+
+def materials_in_use(table: InstanceTable, used_slots: list[np.ndarray], drawn: np.ndarray) -> set[Hashable]:
+    """Return the keys of materials that any drawn triangle has.
+
+    Args:
+        table: All instances.
+        used_slots: Material slots that the triangles of each of the table's meshes have.
+        drawn: bool [N]: which instances are drawn.
+    """
+    sets = len(table.material_sets)
+    pairs = np.unique(table.mesh_index[drawn].astype(np.int64) * sets + table.material_set_index[drawn])
+    keys: set[Hashable] = set()
+    for mesh, index in zip(*(part.tolist() for part in np.divmod(pairs, sets)), strict=True):
+        chosen = table.material_sets[index]
+        keys.update(chosen[min(slot, len(chosen) - 1)] for slot in used_slots[mesh].tolist())
+    return keys
 
 
 def uv_map_names(programs: Iterable[Program]) -> list[str]:
@@ -64,7 +82,11 @@ class MaterialTable:
         self.uses_camera = False
         """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
         self.lean = LeanPrograms()
+        """What the lean node machine can run, of the materials in use"""
         self.reflectors = Reflectors()
+        """What the materials in use reflect and refract"""
+        self._programs: dict[Hashable, tuple[Program, int]] = {}
+        self._used: frozenset[Hashable] | None = None
         self.indices: dict[Hashable, int] = {}
         self.bytes = 0
         self.build({}, None, lambda key: 0, lambda name: -1, lambda name: -1)
@@ -98,8 +120,8 @@ class MaterialTable:
         self.indices = {key: row for row, key in enumerate(everything)}
         records = np.zeros(len(everything), dtype=Material.numpy_dtype())
         self.uses_camera = world is not None and world.uses_camera
-        self.reflectors = find_reflectors(data.program for data in everything.values())
-        for row, data in enumerate(everything.values()):
+        self._programs = {}
+        for row, (key, data) in enumerate(everything.items()):
             base = table.add_tables(data.program)
             records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)
             # Next to it: the distance is stored.
@@ -109,11 +131,23 @@ class MaterialTable:
             records[row]["emission"] = data.constant_emission or (0.0, 0.0, 0.0)
             records[row]["pass_index"] = data.pass_index
             self.uses_camera |= data.program.uses_camera
-        self.lean = LeanPrograms(
-            *(bool((records["flags"] & bit).all())
-              for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY)))
+            self._programs[key] = data.program, int(records[row]["flags"])
+        self._used = None
+        self.note_used(everything)
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
         self._upload(table, records, world_start)
+
+    def note_used(self, keys: Iterable[Hashable]) -> None:
+        """Take in which materials are on anything drawn: `lean` and `reflectors` tell of these alone."""
+        used = frozenset(key if key in self._programs else None for key in keys)
+        if used == self._used:
+            return
+        self._used = used
+        programs, flags = zip(*(self._programs[key] for key in used), strict=True) if used else ((), ())
+        self.reflectors = find_reflectors(programs)
+        self.lean = LeanPrograms(
+            *(all(each & bit for each in flags)
+              for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)))
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
@@ -163,6 +197,7 @@ def material_flags(data: MaterialData) -> int:
         flags |= MATERIAL_EMISSION
         flags |= MATERIAL_CONSTANT_EMISSION if data.constant_emission is not None else 0
     flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
+    flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
     return flags | (MATERIAL_LEAN_TRANSPARENCY if is_lean_transparency(data.program) else 0)
 

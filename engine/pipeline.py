@@ -9,11 +9,16 @@ anew when settings or the scene's arrays change, not when the camera or objects 
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
+from ..kernels.direct_light import DirectLight
+from ..kernels.gbuffer import GBuffer
 from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
 from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
+from .device import device_errors
 from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_graph import FrameGraph
@@ -21,11 +26,11 @@ from .motion import MotionTracker
 from .passes.composite import CompositePass
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
-from .passes.direct_light import DirectLightPass
+from .passes.direct_light import DirectLightPass, has_lights
 from .passes.gbuffer import GBufferPass
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.reflection_denoise import ReflectionDenoisePass
-from .passes.reflections import RayScene, ReflectionPass
+from .passes.reflections import STRIDES, RayScene, ReflectionPass
 from .passes.rest_gather import RestGatherPass
 from .passes.screen_probes import ScreenProbePass
 from .settings import RenderSettings
@@ -46,8 +51,14 @@ class Pipeline:
         self.skipped: dict[str, str] = {}
         """Sections that the scene does not need, with the reason"""
         self.passes: tuple = ()
+        self._ready: list = []
+        """Passes that have their buffers: those that some frame so far needed"""
+        self._recorded: list = []
+        """Passes in the frames recorded last"""
+        self._parity = 0
+        self._graph: FrameGraph | None = None
         self._settings: RenderSettings | None = None
-        self._graphs: dict[tuple[int, bool], tuple[FrameGraph, wp.array]] = {}
+        self._graphs: dict[tuple[int, bool], tuple[FrameGraph, wp.array, list]] = {}
         self._recorded_for = b""
         self._picture: wp.array | None = None
         self._split_for = None
@@ -58,7 +69,7 @@ class Pipeline:
         self._settings = settings
         device = self.device
         self.gbuffer = GBufferPass(device)
-        self.cache = RadianceCachePass(device, settings.cache)
+        self.cache = RadianceCachePass(device, settings.cache, deterministic=settings.performance.deterministic)
         self.probes = ScreenProbePass(device, settings.probes)
         self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
         self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
@@ -72,12 +83,9 @@ class Pipeline:
         self.composite = CompositePass(device, settings.denoiser, light_passes)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
                        self.reflections, self.refraction, self.gather, self.rest_gather, self.composite)
-        for each in self.passes:
-            each.resize(width, height)
-        filters = (self.reflection_denoise, self.refraction_denoise)
-        for each in filters:
-            each.resize(width, height, self.reflections.options.stride)
-        self.passes += filters
+        self.passes += (self.reflection_denoise, self.refraction_denoise)
+        self._size, self._ready, self._recorded = (width, height), [], []
+        self._black: DirectLight | None = None
         self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
         self.motion = MotionTracker(device)
         self.show(settings.debug.view)
@@ -90,8 +98,27 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget all history."""
-        for each in self.passes:
+        for each in self._ready:
             each.reset()
+
+    def _prepare(self, *passes: Any) -> None:
+        """Note that a frame needs passes; those that never were needed so far get their buffers."""
+        self._recorded += passes
+        for each in passes:
+            if each in self._ready:
+                continue
+            filters = isinstance(each, ReflectionDenoisePass)
+            stride = (STRIDES[self._settings.reflections.resolution],) if filters else ()
+            with device_errors("a picture of {} x {} pixels".format(*self._size)):
+                each.resize(*self._size, *stride)
+            self._ready.append(each)
+
+    def _leave_out(self, graph: FrameGraph, name: str, reason: str, *passes: Any) -> None:
+        """Note that a frame does without passes; what they know is too old once they come back."""
+        graph.skip(name, reason)
+        for each in passes:
+            if each in self._ready:
+                each.reset()
 
     def _forget_records(self) -> None:
         self._graphs, self._recorded_for = {}, b""
@@ -113,10 +140,15 @@ class Pipeline:
         key = views.parity, self._settings.denoiser.rest_gather and views.rest > 0
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
-        graph, self._picture = self._graphs[key]
+        graph, self._picture, self._recorded = self._graphs[key]
+        self._parity, self._graph = views.parity, graph
         graph.replay(timed)
         self.times, self.skipped = graph.times or self.times, graph.skipped
         self.kernel_times = graph.kernel_times
+
+    def launches(self) -> list[tuple[str, str]]:
+        """Return section and kernel of each launch of the last frame, in its order."""
+        return [] if self._graph is None else self._graph.launch_list()
 
     @property
     def picture(self) -> wp.array:
@@ -130,10 +162,15 @@ class Pipeline:
     def counts(self) -> dict[str, int]:
         """Return what the last frame counted. Waits for the device."""
         pixels = self.gbuffer.width * self.gbuffer.height
-        counts = {"primary rays": pixels, "direct shadow rays": pixels}
+        counts = {"primary rays": pixels}
+        if self.direct in self._recorded:
+            counts |= self.direct.stats(self._parity)
         counts |= {f"probes {name}": value for name, value in self.probes.stats().items()}
         counts |= {f"cache {name}": value for name, value in self.cache.stats().items()}
-        return counts | self.reflections.stats() | self.refraction.stats() | self.gather.stats()
+        for each in (self.reflections, self.refraction, self.gather):
+            if each in self._recorded:
+                counts |= each.stats()
+        return counts
 
     def _update_split(self, scene: DeviceScene) -> None:
         """Split the world's light anew where the world has changed."""
@@ -155,18 +192,72 @@ class Pipeline:
         needed = []
         if reflectors.sharpest < self._settings.reflections.roughness_diffuse:
             needed.append(self.reflections)
+            self._prepare(self.reflections, self.reflection_denoise)
         else:
-            graph.skip("reflections", "nothing reflects sharply")
+            self._leave_out(
+                graph, "reflections", "nothing reflects sharply", self.reflections, self.reflection_denoise)
         if reflectors.refracts:
             needed.append(self.refraction)
+            self._prepare(self.refraction, self.refraction_denoise)
         else:
-            graph.skip("refraction", "nothing refracts")
+            self._leave_out(graph, "refraction", "nothing refracts", self.refraction, self.refraction_denoise)
         return needed
+
+    def _gathering(self, graph: FrameGraph, resting: bool) -> list[ReflectionPass]:
+        """Return the pass of the final gather where a frame has it."""
+        if resting:
+            self._prepare(self.gather, self.rest_gather)
+            return [self.gather]
+        # It keeps what it has gathered: frames without it are few, and it knows how old things are.
+        graph.skip("final gather", "something moves" if self._settings.denoiser.rest_gather else "switched off")
+        return []
+
+    def _record_direct(
+        self, graph: FrameGraph, parity: int, scene: DeviceScene, views: wp.array, surfaces: GBuffer,
+    ) -> DirectLight:
+        """Record direct light and its filter; black without launches where nothing is sampled as a light."""
+        if not has_lights(scene.scene, self.split):
+            self._leave_out(
+                graph, "direct light", "the scene has no lamps, emitters or sun", self.direct, self.direct_denoise)
+            if self._black is None:
+                self._black = DirectLight()
+                for name in ("diffuse", "specular"):
+                    setattr(self._black, name, wp.full(
+                        self._size[0] * self._size[1], wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h,
+                        device=self.device))
+            return self._black
+        self._prepare(self.direct, self.direct_denoise)
+        before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
+        direct = self.direct.record(
+            graph, parity, scene.scene, views, surfaces, before, reprojection, self.split,
+            filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
+            lean_layers=scene.material_table.lean.transparency)
+        with graph.section("Direct denoising"):
+            return self.direct_denoise.record(graph, parity, views, surfaces, before, reprojection, direct)
+
+    def _note_absent(self, graph: FrameGraph, scene: DeviceScene, what: RayScene) -> None:
+        """Tell which kernels a frame does without, for the timing panel."""
+        lights, lean = scene.scene.lights, scene.material_table.lean
+        absent = {
+            "alpha layers": ("nothing lets light through unbent", not what.filtered),
+            "lamps in view": ("there are no lamps", lights.lamp_count == 0),
+            "emissive meshes": ("none shines", len(scene.emitters.power) == 0),
+            "light programs": ("no light varies", not scene.emitters.textured),
+            "sun in the world": ("no part of it is bright enough", self.split.share == 0.0),
+            "shadow rays of hits": ("nothing shines", lights.class_count == 0),
+            "chains of mirrors": ("no mirror and no glass", not what.mirrors),
+            "full node machine": ("all materials are plain", lean.surface and lean.flat and lean.transparency),
+        }
+        for name, (reason, is_absent) in absent.items():
+            if is_absent:
+                graph.skip(name, reason)
 
     def _record(
         self, parity: int, resting: bool, scene: DeviceScene, views: wp.array, motion: Motion,
-    ) -> tuple[FrameGraph, wp.array]:
+    ) -> tuple[FrameGraph, wp.array, list]:
         """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
+        self._recorded = []
+        self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
         graph, kernels_scene = FrameGraph(self.device), scene.scene
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         lean = scene.material_table.lean
@@ -174,35 +265,41 @@ class Pipeline:
             graph, parity, kernels_scene, views, motion, filtered=filtered, all_lean=lean.surface,
             lean_layers=lean.transparency)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
-        rays, count = self.probes.record_rays(graph, parity, kernels_scene, views, surfaces)
+        # Branches run side by side: direct light, each kind of reflection ray up to the cache, the probes' rays.
+        with graph.branch("direct light"):
+            direct = self._record_direct(graph, parity, scene, views, surfaces)
         smallest = smallest_cell(self._settings.cache, scene.radius)
         color = self.composite.color.previous(parity)
         traced = self._reflecting(graph, scene)
-        gathering = [self.gather] if resting else []
+        gathering = self._gathering(graph, resting)
         what = RayScene(
-            kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.surface, lean.transparency,
-            scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS)
+            kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
+            scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS,
+            self.cache.deterministic)
+        self._note_absent(graph, scene, what)
+        self.cache.record_start(graph, views)
+        branches: tuple[str, ...] = ()
         for each in traced + gathering:
-            each.record_rays(graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest))
+            with graph.branch(each.name):
+                each.record_rays(
+                    graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
+            branches += (each.name,)
+        rays, count = self.probes.record_rays(graph, parity, kernels_scene, views, surfaces)
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
             filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency,
-            world=scene.world_texels)
+            world=scene.world_texels, started=True, after=branches)
         indirect = self.probes.record_light(
             graph, parity, kernels_scene, views, surfaces, color, reprojection)
         filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
         shown = {}
         for each in traced:
-            samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
-            with graph.section(f"{each.title} denoising"):
-                shown[each] = filters[each].record(
-                    graph, parity, kernels_scene, views, surfaces, before, reprojection, each.options, samples,
-                    jitter=self._settings.reflections.jitter)
-        direct = self.direct.record(
-            graph, parity, kernels_scene, views, surfaces, before, reprojection, self.split, filtered=filtered,
-            textured=scene.emitters.textured, local_power=scene.local_power, lean_layers=lean.transparency)
-        with graph.section("Direct denoising"):
-            direct = self.direct_denoise.record(graph, parity, views, surfaces, before, reprojection, direct)
+            with graph.branch(each.name):
+                samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
+                with graph.section(f"{each.title} denoising"):
+                    shown[each] = filters[each].record(
+                        graph, parity, kernels_scene, views, surfaces, before, reprojection, each.options, samples,
+                        jitter=self._settings.reflections.jitter)
         with graph.section("Diffuse denoising"):
             indirect = self.diffuse_denoise.record(graph, parity, views, surfaces, before, reprojection, indirect)
         gathered = None
@@ -211,16 +308,17 @@ class Pipeline:
             with graph.section(f"{each.title} denoising"):
                 gathered = self.rest_gather.record(
                     graph, parity, views, surfaces, before, reprojection, each.options, samples, indirect)
+        graph.join("direct light", *branches)
         with graph.section("Composite"):
             picture = self.composite.record(
                 graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
-                self.reflections.options, gathered)
+                self.reflections.options if self.reflections in traced else None, gathered)
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):
                 graph.clear(self._debug_picture)
-                if owner not in (self.reflections, self.reflection_denoise) or self.reflections in traced:
+                if owner in self._recorded:
                     owner.record_debug(graph, parity, name, self._debug_picture)
             picture = self._debug_picture
-        return graph, picture
+        return graph, picture, self._recorded

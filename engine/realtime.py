@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The real-time integrator: a picture every frame, and at rest the way from filtered frames to path-traced samples.
 
-Two regimes (rest is counted in frames since anything changed): up to `DenoiserSettings.rest_frames` the pipeline's
-frames, whose filters shrink as their histories grow; from then on every step adds a sample of the reference
-integrator to a film of its own, blended in by estimated error (passes/rest.py), so that the limit is its picture.
+Three regimes, counted in steps since anything changed: the first SETTLING steps are the pipeline's frames; then frames
+and samples of the reference integrator take turns until there are `DenoiserSettings.rest_frames` frames; from then on
+every step is a sample. The samples go into a film of their own, and passes/rest.py makes one picture from both, whose
+limit is the reference integrator's.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import warp as wp
 
 from ..kernels.paths import Options
 from .device_scene import DeviceScene
+from .passes.radiance_cache import smallest_cell
 from .passes.reference import FilmBuffers, ReferencePass
 from .passes.rest import RestBlend
 from .pipeline import Pipeline
@@ -23,6 +25,14 @@ from .settings import RenderSettings
 from .view_data import ViewTracker
 
 __all__ = ["Realtime"]
+
+SETTLING = 16
+"""Frames at rest before the first path-traced sample: light has spread by then, and a camera that stops for a moment
+costs nothing"""
+TURN = 8
+"""Frames, then samples, that follow one another where several are asked for at once: samples are faster in batches"""
+KEYS_REPEAT = 1 << 16
+"""Smallest cells that the camera may jump: at twice as many the keys of the cache's cells repeat"""
 
 
 class Realtime:
@@ -86,6 +96,7 @@ class Realtime:
     def _forget_samples(self) -> None:
         self.frames = 0
         self.reference.reset()
+        self._blend.reset()
         self._blended = False
         if self._film is not None:
             self._film.clear()
@@ -99,35 +110,49 @@ class Realtime:
         self, scene: DeviceScene, camera: np.ndarray, options: Callable[[], Options], samples: int,
         should_stop: Callable[[], bool],
     ) -> None:
-        """Render up to `samples` frames, or path-traced samples once the picture has been at rest for long."""
-        denoiser = self._settings.denoiser
-        limit = denoiser.rest_frames if denoiser.path_traced_rest else 1 << 62
+        """Render up to `samples` frames, or path-traced samples of a picture at rest."""
         target = self.samples_done + samples
         while self.samples_done < target and not should_stop():
-            if self.frames >= max(limit, 1) and self._settings.debug.view in ("", *RestBlend.debug_views):
-                self._trace(scene, camera, options(), target, should_stop)
-                return
-            self._frame(scene, camera)
+            turn = self._samples_due()
+            if turn:
+                self._trace(scene, camera, options(), min(turn, target - self.samples_done), should_stop)
+            else:
+                self._frame(scene, camera)
+
+    def _samples_due(self) -> int:
+        """Return how many path-traced samples come next; 0 when it is a frame's turn."""
+        denoiser, traced = self._settings.denoiser, self.reference.samples_done
+        if not denoiser.path_traced_rest or self._settings.debug.view not in ("", *RestBlend.debug_views):
+            return 0
+        if self.frames >= max(denoiser.rest_frames, 1):
+            return 1 << 30
+        ahead = self.frames - SETTLING
+        # A turn of frames ends TURN ahead of the samples, one of samples when they have caught up.
+        return ahead - traced if ahead >= traced + TURN or traced % TURN else 0
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
         settings = self._settings
+        if self.views.moved_by(camera) > KEYS_REPEAT * smallest_cell(settings.cache, scene.radius):
+            self.restart()
         self.views.advance(
             camera, moved=self._moved, lit=self._lit, exposure=settings.film.exposure,
             transparent=settings.film.transparent,
             filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
         self._moved = self._lit = False
         self.pipeline.frame(scene, self.views, timed=self.timed)
+        if self._settings.denoiser.path_traced_rest and self.views.rest > 0:
+            self._blend.add_frame(self.pipeline.gbuffer.current(self.views.parity))
         self.frames += 1
 
     def _trace(
-        self, scene: DeviceScene, camera: np.ndarray, options: Options, target: int, should_stop: Callable[[], bool],
+        self, scene: DeviceScene, camera: np.ndarray, options: Options, count: int, should_stop: Callable[[], bool],
     ) -> None:
-        count = self._size[0] * self._size[1]
         if self._film is None:
-            self._film = FilmBuffers.make(count, False, self.device)
-            self.reference.resize(count, False)
+            pixels = self._size[0] * self._size[1]
+            self._film = FilmBuffers.make(pixels, False, self.device)
+            self.reference.resize(pixels, False)
         self.reference.render(
-            scene.scene, camera, options, self._filter, self._film, target - self.frames, should_stop)
+            scene.scene, camera, options, self._filter, self._film, self.reference.samples_done + count, should_stop)
         self._blended = True
 
     def picture(self) -> wp.array:
@@ -137,9 +162,17 @@ class Realtime:
             return self._blend.show_weight() if self._settings.debug.view else blend
         return self.pipeline.picture
 
+    def light_pass(self, name: str) -> wp.array:
+        """Return one of LIGHT_PASSES as the newest picture has it: vec3 [h * w], exposed."""
+        light = self.pipeline.light_pass(name)
+        if name.endswith(" Color") or self.picture() is self.pipeline.picture:
+            return light
+        return self._blend.scale_light(self.pipeline.picture, light)
+
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:
     """Tell whether frames with `new` settings look like those with `old` ones, apart from the debug view."""
     groups = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
-    return old is not None and new.sampling.seed == old.sampling.seed and all(
-        getattr(new, name) == getattr(old, name) for name in groups)
+    if old is None or new.performance.deterministic != old.performance.deterministic:
+        return False
+    return new.sampling.seed == old.sampling.seed and all(getattr(new, name) == getattr(old, name) for name in groups)

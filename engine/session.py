@@ -22,6 +22,7 @@ from .errors import InvalidScene
 from .frame_data import frame_row
 from .passes.composite import LIGHT_PASSES
 from .passes.reference import FilmBuffers, ReferencePass
+from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .realtime import Realtime
 from .report import Report, ReportKind
@@ -44,6 +45,10 @@ BACKGROUND_DEPTH = 1e10
 """Depth where there is no surface, as Cycles writes it."""
 
 MAX_PIXELS = 1 << 30
+
+DIMMED = 1e-5
+"""Share of all light of before below which what an edit leaves of it is lost among averages of before, which forget
+within a dozen frames but for a hundredth"""
 
 
 @dataclass
@@ -82,7 +87,7 @@ class Session:
         self._key: tuple = ()
         self._camera: CameraData | None = None
         self._sampling_report = Report()
-        self._kept_options: tuple[tuple, Options] | None = None
+        self._kept_options: dict[bool, tuple[tuple, Options]] = {}
         self._realtime: Realtime | None = None
         self.timed = False
         """Measure every section of real-time frames (slower: each is waited for)"""
@@ -105,8 +110,8 @@ class Session:
         Raises:
             OutOfDeviceMemory: The scene does not fit.
         """
-        self._scene.apply(delta, self.settings.performance, progress)
-        scene = self._scene
+        scene, power = self._scene, self._scene.power
+        scene.apply(delta, self.settings.performance, progress)
         self.stats = SessionStats(
             triangles=scene.triangle_count(), instances=len(scene.rows),
             lights=len(scene.lamps) + len(scene.emitters.power), texture_bytes=int(scene.textures.bytes),
@@ -114,7 +119,10 @@ class Session:
         self.stats.device_bytes = self._memory()
         self._set_frame()
         changes = scene.changes
-        if self._realtime is not None and changes.replaced:
+        # Averages of light so much brighter would glow for hundreds of frames. Without any light they may fade: what is
+        # known of the surfaces helps when it comes back.
+        dimmed = 0.0 < scene.power < DIMMED * power
+        if self._realtime is not None and (changes.replaced or dimmed):
             self._realtime.restart()
         elif self._realtime is not None:
             self._realtime.note(moved=changes.moved, lit=changes.lit)
@@ -184,7 +192,7 @@ class Session:
         with device_errors("the path states"):
             if self._realtime is not None:
                 self._realtime.timed = self.timed
-                self._realtime.step(self._scene, self._frame, self._options, samples, stop)
+                self._realtime.step(self._scene, self._frame, lambda: self._options(False), samples, stop)
             else:
                 self._trace(self._pass.samples_done + samples, stop)
         self.stats.times["sampling"] = self.stats.times.get("sampling", 0.0) + time.perf_counter() - start
@@ -192,7 +200,7 @@ class Session:
 
     def _trace(self, target: int, stop: Callable[[], bool]) -> None:
         self._pass.render(
-            self._scene.scene, self._frame, self._options(), self._filter, self._film, target, stop)
+            self._scene.scene, self._frame, self._options(self._film.passes), self._filter, self._film, target, stop)
 
     @property
     def samples_done(self) -> int:
@@ -203,6 +211,16 @@ class Session:
     def frame_times(self) -> dict[str, float]:
         """Return the milliseconds of each section of the last timed real-time frame."""
         return {} if self._realtime is None else self._realtime.pipeline.times
+
+    @property
+    def kernel_times(self) -> dict[str, float]:
+        """Return the same by kernel."""
+        return {} if self._realtime is None else self._realtime.pipeline.kernel_times
+
+    @property
+    def pipeline(self) -> Pipeline | None:
+        """Return the passes of real-time frames, to look at; None before there are any."""
+        return None if self._realtime is None else self._realtime.pipeline
 
     @property
     def skipped(self) -> dict[str, str]:
@@ -234,7 +252,7 @@ class Session:
         """Give the device's memory back."""
         self._film = None
         self._realtime = None
-        self._kept_options = None
+        self._kept_options = {}
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
 
@@ -269,7 +287,7 @@ class Session:
         if name in LIGHT_PASSES:
             if self._realtime is None:
                 raise KeyError(name)
-            return self._realtime.pipeline.light_pass(name).numpy()
+            return self._realtime.light_pass(name).numpy()
         if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
             self._trace(GEOMETRY_SAMPLES, lambda: False)
         counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
@@ -309,20 +327,23 @@ class Session:
         if self._camera is not None:
             width, height, crop = self._size
             origin = self._scene.origin
-            self._frame = frame_row(self._camera, width, height, crop, self.settings.sampling.seed, origin)
+            # A camera that can't be used must not be met again by the next update.
+            camera, self._camera = self._camera, None
+            self._frame = frame_row(camera, width, height, crop, self.settings.sampling.seed, origin)
+            self._camera = camera
             if self._scene.material_table.uses_camera:
                 self._scene.material_table.set_camera(self._camera, tuple(origin))
 
-    def _options(self) -> Options:
+    def _options(self, passes: bool) -> Options:
         """Return the kernels' settings; the same object as long as they are the same."""
         scene = self._scene
-        key = (self.settings.light_paths, self.settings.film, self._film.passes, scene.structures.has_filtered,
+        key = (self.settings.light_paths, self.settings.film, scene.structures.has_filtered,
                scene.has_light_programs)
-        if self._kept_options is None or self._kept_options[0] != key:
-            self._kept_options = (key, self._make_options())
-        return self._kept_options[1]
+        if passes not in self._kept_options or self._kept_options[passes][0] != key:
+            self._kept_options[passes] = (key, self._make_options(passes))
+        return self._kept_options[passes][1]
 
-    def _make_options(self) -> Options:
+    def _make_options(self, passes: bool) -> Options:
         paths, options = self.settings.light_paths, Options()
         options.max_bounces = paths.max_bounces
         options.roulette_start = paths.roulette_start
@@ -330,7 +351,7 @@ class Session:
         options.clamp_indirect = paths.clamp_indirect
         options.transparent = int(self.settings.film.transparent)
         options.exposure = self.settings.film.exposure
-        options.passes = int(self._film.passes)
+        options.passes = int(passes)
         options.filtered = int(self._scene.structures.has_filtered)
         options.programs = int(self._scene.has_light_programs)
         return options

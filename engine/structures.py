@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Acceleration structures: what is flattened into one wp.Mesh, what lies as instances under a wp.Bvh.
+"""Acceleration structures: what is flattened into one wide BVH, what lies as instances under a wp.Bvh.
 
 Flattening gives the fastest rays and costs memory per instance; it is done while it multiplies the unique triangles
-by less than a setting. An instance that moves or deforms leaves the flattened structure (its vertices there are
-pulled together and the structure is refitted) and gets a wp.Mesh of its own, so that moving it again costs its own
-triangles only; it rejoins at the next full build. Triangles that need a test per hit lie in structures of their own.
+by less than a setting. An instance that moves or deforms leaves the flattened structure (its triangles are taken out
+there and the boxes above them shrink) and gets a wp.Mesh of its own, so that moving it again costs its own triangles
+only; it rejoins at the next full build. Triangles that need a test per hit lie in structures of their own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from ..kernels.flatten import collapse_vertices, flatten_vertices
-from ..kernels.types import Scene
+from ..kernels.flatten import flatten_vertices
+from ..kernels.types import FlatTriangles, Geometry, Scene
 from .geometry_store import GeometryStore, MeshRange
 from .scene import Key
+from .wide_bvh import WideBvh, build_wide
 
 __all__ = ["InstancePlan", "Structures", "is_flat"]
 
@@ -60,13 +61,31 @@ class _LocalMesh:
     first_filtered: int = 0
 
 
-@dataclass
-class _Flat:
-    """Where flattened instances lie in the world-space points."""
+class FlatStructure:
+    """Triangles of flattened instances in world space."""
 
-    points: wp.array
-    vertex_start: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Instance -> (first vertex, count)"""
+    def __init__(self, device: str):
+        self.device = device
+        self.wide: WideBvh | None = None
+        """None without triangles"""
+        self.faces = wp.zeros(1, dtype=wp.vec2i, device=device)
+        """(instance, triangle) per face"""
+        self._nothing = wp.empty(0, dtype=wp.uint32, device=device)
+
+    def build(self, points: wp.array, indices: list[np.ndarray], faces: list[np.ndarray]) -> None:
+        """Build over triangles: indices into world-space points and (instance, triangle) of each, in parts."""
+        if sum(len(part) for part in indices) == 0:
+            return
+        self.wide = build_wide(points, wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device))
+        self.faces = wp.array(np.concatenate(faces), dtype=wp.vec2i, device=self.device)
+
+    def struct(self) -> FlatTriangles:
+        """Return it as kernels take it."""
+        flat = FlatTriangles()
+        flat.nodes = self._nothing if self.wide is None else self.wide.nodes
+        flat.triangles = self._nothing if self.wide is None else self.wide.triangles
+        flat.faces = self.faces
+        return flat
 
 
 class Structures:
@@ -78,15 +97,14 @@ class Structures:
 
     def clear(self) -> None:
         """Drop everything."""
-        self.opaque: wp.Mesh | None = None
-        self.filtered: wp.Mesh | None = None
-        self.opaque_faces = wp.zeros(1, dtype=wp.vec2i, device=self.device)
-        self.filtered_faces = wp.zeros(1, dtype=wp.vec2i, device=self.device)
+        self.opaque = FlatStructure(self.device)
+        self.filtered = FlatStructure(self.device)
         self.bvh: wp.Bvh | None = None
         self.bvh_instances = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.mesh_faces = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.local: dict[tuple, _LocalMesh] = {}
-        self.flat: _Flat | None = None
+        self.flat: set[int] = set()
+        """The instances that are flattened"""
         self.instanced = np.zeros(0, bool)
         self._built_for: tuple[list[_LocalMesh], np.ndarray] = ([], np.zeros(0, np.int64))
         self.description = "empty"
@@ -124,17 +142,16 @@ class Structures:
         self, plan: InstancePlan, ranges: list[MeshRange], instances: wp.array, store: GeometryStore,
         chosen: np.ndarray,
     ) -> None:
-        self.opaque = self.filtered = self.flat = None
-        if len(chosen) == 0:
-            return
-        starts, vertex_instance, vertex_source = {}, [], []
+        # Before there are new ones: both may not fit side by side.
+        self.opaque, self.filtered, self.flat = FlatStructure(self.device), FlatStructure(self.device), set()
+        vertex_instance, vertex_source = [], []
         opaque_index, opaque_face, filtered_index, filtered_face = [], [], [], []
         vertex = 0
         for i in chosen.tolist():
             r = ranges[plan.mesh_index[i]]
             if r.triangle_count == 0:
                 continue
-            starts[i] = (vertex, r.vertex_count)
+            self.flat.add(i)
             vertex_instance.append(np.full(r.vertex_count, i, np.int32))
             vertex_source.append(np.arange(r.vertex_start, r.vertex_start + r.vertex_count, dtype=np.int32))
             is_filtered = _filtered_triangles(r, plan.filtered_slots[plan.group_index[i]])
@@ -157,17 +174,8 @@ class Structures:
             instances, store.positions.array,
             wp.array(np.concatenate(vertex_instance), dtype=int, device=self.device),
             wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
-        self.flat = _Flat(points, starts)
-        self.opaque, self.opaque_faces = self._world_mesh(points, opaque_index, opaque_face)
-        self.filtered, self.filtered_faces = self._world_mesh(points, filtered_index, filtered_face)
-
-    def _world_mesh(self, points: wp.array, indices: list, faces: list) -> tuple[wp.Mesh | None, wp.array]:
-        total = sum(len(part) for part in indices)
-        if total == 0:
-            return None, wp.zeros(1, dtype=wp.vec2i, device=self.device)
-        flat_indices = wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device)
-        mesh = wp.Mesh(points, flat_indices, bvh_constructor=self._static_builder(), bvh_leaf_size=1)
-        return mesh, wp.array(np.concatenate(faces), dtype=wp.vec2i, device=self.device)
+        self.opaque.build(points, opaque_index, opaque_face)
+        self.filtered.build(points, filtered_index, filtered_face)
 
     def _local_mesh(self, plan: InstancePlan, instance: int, store: GeometryStore, moving: bool) -> _LocalMesh:
         key = plan.mesh_keys[plan.mesh_index[instance]]
@@ -240,14 +248,15 @@ class Structures:
 
     def leave_flat(self, moved: np.ndarray) -> None:
         """Take instances out of the flattened structure (not yet into the other)."""
-        leaving = [i for i in moved.tolist() if self.flat is not None and i in self.flat.vertex_start]
-        for i in leaving:
-            start, count = self.flat.vertex_start.pop(i)
-            wp.launch(collapse_vertices, count, [start], [self.flat.points], device=self.device)
+        leaving = self.flat.intersection(moved.tolist())
         if leaving:
-            for mesh in (self.opaque, self.filtered):
-                if mesh is not None:
-                    mesh.refit()
+            marks = np.zeros(len(self.instanced), np.int32)
+            marks[list(leaving)] = 1
+            marks = wp.array(marks, dtype=int, device=self.device)
+            for part in (self.opaque, self.filtered):
+                if part.wide is not None:
+                    part.wide.take_out(part.faces, marks)
+            self.flat -= leaving
         self.instanced[moved] = True
 
     def update_instances(self, plan: InstancePlan, store: GeometryStore, changed_meshes: set[Key]) -> None:
@@ -255,8 +264,15 @@ class Structures:
         self.local = {key: local for key, local in self.local.items() if key[0] not in changed_meshes}
         self._build_instances(plan, store, moving=True)
         count = int(self.instanced.sum())
-        flat = 0 if self.flat is None else len(self.flat.vertex_start)
-        self.description = f"{flat:,} objects flattened, {count:,} moving or instanced in two levels"
+        self.description = f"{len(self.flat):,} objects flattened, {count:,} moving or instanced in two levels"
+
+    def write(self, geometry: Geometry) -> None:
+        """Write the structures into the kernels' struct."""
+        geometry.flat = self.opaque.struct()
+        geometry.flat_filtered = self.filtered.struct()
+        geometry.instance_bvh = self.bvh.id if self.bvh is not None else 0
+        geometry.bvh_instances = self.bvh_instances
+        geometry.mesh_faces = self.mesh_faces
 
     def fill(self, rows: np.ndarray, plan: InstancePlan) -> None:
         """Write the structures' ids into the structured array of instances."""
@@ -272,7 +288,7 @@ class Structures:
     @property
     def has_filtered(self) -> bool:
         """Return whether any triangle needs a test per hit."""
-        return self.filtered is not None or any(local.filtered is not None for local in self.local.values())
+        return self.filtered.wide is not None or any(local.filtered is not None for local in self.local.values())
 
 
 def _filtered_triangles(r: MeshRange, filtered_slots: tuple[bool, ...]) -> np.ndarray | None:

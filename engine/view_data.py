@@ -41,6 +41,13 @@ class ViewTracker:
         """Return which of the two buffers of each History the current frame writes."""
         return self.frame & 1
 
+    def moved_by(self, camera: np.ndarray) -> float:
+        """Return how far a camera (a FrameData row) is from that of the frame before [m]; 0 for the first."""
+        if self._camera is None:
+            return 0.0
+        return float(np.linalg.norm(
+            camera["camera_to_world"].reshape(4, 4)[:3, 3] - self._camera["camera_to_world"].reshape(4, 4)[:3, 3]))
+
     def advance(
         self, camera: np.ndarray, *, moved: bool, lit: bool, exposure: float, transparent: bool,
         filter_quantiles: np.ndarray | None,

@@ -13,6 +13,7 @@ import warp as wp
 from ..kernels import (
     antialias,
     cache_cells,
+    cache_claim,
     cache_debug,
     cache_lean,
     cache_lights,
@@ -20,6 +21,7 @@ from ..kernels import (
     cache_programs,
     cache_rays,
     cache_shade,
+    cluster_tree,
     compaction,
     composite,
     composite_debug,
@@ -36,6 +38,7 @@ from ..kernels import (
     display,
     environment,
     film,
+    flat_paths,
     flat_tracing,
     flatten,
     gbuffer_debug,
@@ -75,6 +78,7 @@ from ..kernels import (
     reflection_resolve,
     reflection_screen,
     reflection_start,
+    reflection_tail,
     reflection_temporal,
     reflection_trace,
     reflection_upscale,
@@ -84,6 +88,8 @@ from ..kernels import (
     shadow_layers_lean,
     shadow_lights,
     tracing,
+    wide_bvh_build,
+    wide_bvh_edit,
 )
 from .device import block_size, start_warp, thread_count
 from .errors import KernelBuildFailed
@@ -91,16 +97,18 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, tracing, flat_tracing, flatten, lobe_moments, antialias, cache_cells, cache_debug,
-    cache_lights, cache_rays, cache_shade, composite, composite_debug, denoise_debug, diffuse_blur, diffuse_temporal,
-    direct_atrous, direct_candidates, direct_debug, direct_emitters, direct_shadow, direct_temporal, gbuffer_debug,
-    gbuffer_rays, probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map, probe_place,
-    probe_records, probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers, shadow_layers,
-    shadow_lights, materials, reference, cache_lean, cache_materials, cache_programs, direct_shade, gbuffer_layers,
-    gbuffer_layers_lean, gbuffer_lean, gbuffer_materials, layers_lean, shadow_layers_lean, reflection_place,
-    reflection_choice, reflection_debug, reflection_filter_debug, reflection_trace, reflection_lamps, reflection_screen,
-    reflection_resolve, reflection_start, reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous,
-    reflection_upscale, reflection_temporal, reflection_lean, reflection_refract, reflection_materials,
+    film, display, compaction, tracing, flat_tracing, flat_paths, flatten, cluster_tree,
+    wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim,
+    cache_debug, cache_lights, cache_rays, cache_shade, composite, composite_debug, denoise_debug, diffuse_blur,
+    diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters, direct_shadow, direct_temporal,
+    gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map,
+    probe_place, probe_records, probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers,
+    shadow_layers, shadow_lights, materials, reference, cache_lean, cache_materials, cache_programs, direct_shade,
+    gbuffer_layers, gbuffer_layers_lean, gbuffer_lean, gbuffer_materials, layers_lean, shadow_layers_lean,
+    reflection_place, reflection_choice, reflection_debug, reflection_filter_debug, reflection_trace, reflection_lamps,
+    reflection_screen, reflection_resolve, reflection_start, reflection_probes, reflection_blocks, reflection_cleanup,
+    reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean, reflection_refract,
+    reflection_tail, reflection_materials,
 )
 """Modules that own kernels, the quickest to build first."""
 

@@ -19,7 +19,8 @@ LISTED_THREADS = 1 << 18
 end early make room for others; those without an element cost some microseconds"""
 
 FEW_THREADS = 1 << 16
-"""The same for lists that are mostly short"""
+"""The same for lists that are mostly short, for kernels whose threads take a new element as soon as they are done with
+one, and for the full node machine: as many as a large GPU has at work at a time, or some more"""
 
 ONCE = 1 << 30
 """Number of threads to tell where each has one element"""

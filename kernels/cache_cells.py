@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The life of cells: freeing old ones, making those that rays meet, summing up the frame's samples, new means.
 
-Sums are integers, so that their order doesn't matter and every run gives the same picture. Kernels with atomics are
-one launch each; `update_cells` writes only its own cells.
+Sums are integers, so that their order doesn't matter. Which of two new cells gets a bucket's last slot depends on the
+order of threads, unless cache_claim.py has dealt the slots before. Kernels with atomics are one launch each;
+`update_cells` writes only its own cells.
 
 A light's change and the first frames need care, since indirect light is read from the cache that it is written to: a
 change takes a frame a bounce, and running means stretch that out without end. For REBALANCE_FRAMES all cells'
@@ -60,6 +61,8 @@ class CacheControl:
 
     age: wp.array[int]
     """[1] frames since the start or the last edit of light"""
+    live: wp.array[int]
+    """[1] cells in use at the end of the frame before"""
     balance: wp.array[wp.int64]
     """[LANES * 9] O, S and G of the rebalance"""
     factors: wp.array[wp.vec3]
@@ -119,7 +122,8 @@ def purge_cells(
     slot = i * PURGE_SHARE + view.frame % PURGE_SHARE
     if slot >= capacity or grid_out.keys[slot] == EMPTY:
         return
-    load = float(grid_out.live[0]) / float(capacity)
+    # Not of grid_out.live, which other threads change meanwhile.
+    load = float(control_out.live[0]) / float(capacity)
     limit = float(lifetime) * wp.clamp((0.9 - load) / 0.4, 0.0, 1.0)
     idle = view.frame - grid_out.touched[slot]
     # Negative: from before the frames were counted anew.
@@ -128,6 +132,15 @@ def purge_cells(
         grid_out.direct[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
         grid_out.indirect[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
         wp.atomic_sub(grid_out.live, 0, 1)
+
+
+@wp.func
+def needs_cell(paths: Paths, vertices: Vertices, slot: int) -> bool:
+    """Return whether light is kept at a ray's hit. Black surfaces need none."""
+    if vertices.emission[slot][3] == IDLE:
+        return False
+    r = vertices.reflectance[slot]
+    return paths.hit[slot][0] != MISS and wp.max(r[0], wp.max(r[1], r[2])) > 0.0
 
 
 @wp.kernel
@@ -140,13 +153,10 @@ def insert_vertices(
     grid_out: HashGrid,
     vertices_out: Vertices,
 ):
-    """Find or make the cells of the hits from slot `offset` on. Black surfaces need none."""
+    """Find or make the cells of the hits from slot `offset` on."""
     slot = offset + wp.tid()
     vertices_out.cell[slot] = NO_CELL
-    if vertices_out.emission[slot][3] == IDLE:
-        return
-    r = vertices_out.reflectance[slot]
-    if paths.hit[slot][0] == MISS or not wp.max(r[0], wp.max(r[1], r[2])) > 0.0:
+    if not needs_cell(paths, vertices_out, slot):
         return
     view = views[0]
     p = vertices_out.position[slot]
@@ -224,8 +234,7 @@ def count_rays(
             if not grid.indirect[cell][3] > 0.0:
                 count_one(control_out, slot, COUNT_UNKNOWN)
         return
-    r = vertices.reflectance[slot]
-    if paths.hit[slot][0] != MISS and wp.max(r[0], wp.max(r[1], r[2])) > 0.0:
+    if needs_cell(paths, vertices, slot):
         count_one(control_out, slot, COUNT_FAILED)
 
 
@@ -242,10 +251,13 @@ def balance_sum(control: CacheControl, entry: int) -> float:
 
 @wp.kernel
 def measure_balance(
+    # In:
+    grid: HashGrid,
     # Out:
     control_out: CacheControl,
 ):
-    """Find the factors that bring the cells' indirect light into balance (one thread)."""
+    """Find the factors that bring the cells' indirect light into balance, and note the load (one thread)."""
+    control_out.live[0] = grid.live[0]
     held_factor = wp.vec3(1.0, 1.0, 1.0)
     sample_factor = wp.vec3(1.0, 1.0, 1.0)
     age = control_out.age[0]

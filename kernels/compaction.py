@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_materials import LEFT
+from .gbuffer_store import LEFT as PIXEL_LEFT
 from .intersect import MISS
 from .paths import ENDED, PENDING_NONE, Paths
 from .pixel_order import pixel_in_blocks
@@ -117,4 +118,21 @@ def append_layered_pixels(
     pixel = pixel_in_blocks(wp.tid(), width, height)
     if pixel >= 0:
         if layer[pixel][0] != MISS:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
+
+
+@wp.kernel
+def append_left_pixels(
+    # In:
+    hit: wp.array[wp.vec2i],
+    width: int,
+    height: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the pixels that shade_lean has left (GBuffer.hit), in the order of pixel_in_blocks."""
+    pixel = pixel_in_blocks(wp.tid(), width, height)
+    if pixel >= 0:
+        if hit[pixel][0] == PIXEL_LEFT:
             queue_out[wp.atomic_add(count_out, 0, 1)] = pixel

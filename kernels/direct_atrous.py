@@ -172,11 +172,20 @@ def near_pixel(x: int, y: int, width: int, height: int) -> int:
 
 @wp.func
 def geometry_weight(
-    gbuffer: GBuffer, plane: PixelPlane, normal: wp.vec3, q: int, dx: int, dy: int,
+    gbuffer: GBuffer, plane: PixelPlane, normal: wp.vec3, own: wp.uint32, q: int, dx: int, dy: int,
 ) -> float:
-    """Return the weight of a tap (dx, dy) away by its surface alone."""
+    """Return the weight of a tap (dx, dy) away by its surface alone.
+
+    In detail:
+        normal: Of the centre.
+        own: The same, packed.
+    """
     w = surface_weight(plane, dx, dy, gbuffer.depth[q])
-    return w * sharp_normal_weight(squared_cosine(normal, gbuffer.normal[q]))
+    packed = gbuffer.normal[q]
+    # Most surfaces are flat, and so are all pixels of most warps.
+    if packed != own:
+        w *= sharp_normal_weight(squared_cosine(normal, packed))
+    return w
 
 
 @wp.func
@@ -269,7 +278,8 @@ def filter_direct_first(
         moving = 1.0 - float(view.rest) / REST_FRAMES
         blur = blur_strength(view)
         plane = pixel_plane(view, gbuffer, width, pixel)
-        normal = unit_normal(gbuffer.normal[pixel])
+        own = gbuffer.normal[pixel]
+        normal = unit_normal(own)
         x = pixel % width
         y = pixel // width
         sums = PairSums()
@@ -281,7 +291,7 @@ def filter_direct_first(
                 i = index % 3 - 1
                 j = index // 3 - 1
                 q = near_pixel(x + i, y + j, width, height)
-                w = geometry_weight(gbuffer, plane, normal, q, i, j)
+                w = geometry_weight(gbuffer, plane, normal, own, q, i, j)
                 tap = load_light(diffuse, specular, q)
                 if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                     w = float(0.0)
@@ -346,7 +356,8 @@ def filter_direct(
     if gbuffer.depth[pixel] < SKY_DEPTH:
         centre = load_light(diffuse, specular, pixel)
         plane = pixel_plane(views[0], gbuffer, width, pixel)
-        normal = unit_normal(gbuffer.normal[pixel])
+        own = gbuffer.normal[pixel]
+        normal = unit_normal(own)
         blur = TAP_WEIGHT * blur_strength(views[0])
         x = pixel % width
         y = pixel // width
@@ -358,7 +369,7 @@ def filter_direct(
             i = along if index < 2 else -along
             j = across if index < 2 else -across
             q = near_pixel(x + i, y + j, width, height)
-            w = geometry_weight(gbuffer, plane, normal, q, i, j) * blur
+            w = geometry_weight(gbuffer, plane, normal, own, q, i, j) * blur
             tap = load_light(diffuse, specular, q)
             if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                 w = float(0.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import PI
-from .intersect import hit_error, world_vertex
+from .intersect import hit_error, instance_shift, world_vertex
 from .lights import LightSample, aim_at_triangle
 from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
@@ -71,9 +71,10 @@ def bake_emitters(
     if double_area > 0.0:
         normal = wp.cross(a, b) / double_area
         # The bound is linear over the triangle: its largest value is at a corner.
-        error = hit_error(p0, p1, p2, 0.0, 0.0, normal, to_world)
-        error = wp.max(error, hit_error(p0, p1, p2, 1.0, 0.0, normal, to_world))
-        error = wp.max(error, hit_error(p0, p1, p2, 0.0, 1.0, normal, to_world))
+        shift = instance_shift(geometry, face[0])
+        error = hit_error(p0, p1, p2, 0.0, 0.0, normal, shift)
+        error = wp.max(error, hit_error(p0, p1, p2, 1.0, 0.0, normal, shift))
+        error = wp.max(error, hit_error(p0, p1, p2, 0.0, 1.0, normal, shift))
         light = emitted_radiance(scene, emitter, 0.5 * double_area, local_power)
     word = emitter * EMITTER_WORDS
     emitters_out[word] = pack_floats(p0[0], p0[1])

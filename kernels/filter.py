@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Triangles that need a test per hit: transparency and visibility by kind of ray, layer by layer.
 
-Warp's mesh queries have neither a lower limit nor a filter, so these triangles lie in structures of their own and
+Queries for rays have neither a lower limit nor a filter, so these triangles lie in structures of their own and
 are queried again from each hit, moved on by its error bound. At most MAX_LAYERS layers are looked through.
 """
 

@@ -1,16 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The same as filter.py for scenes in which the lean node machine runs all transparency programs. Functions."""
+"""The same as filter.py for scenes in which the lean node machine runs all transparency programs. Functions.
+
+A ray goes layer by layer, so that a thread that is done with one can take the next while others of its warp are on
+their way: some rays meet one layer, some thirty.
+"""
 
 from __future__ import annotations
 
 import warp as wp
 
-from .filter import MAX_LAYERS, FilteredHit, layer_point, pass_chance, step_past
+from .filter import MAX_LAYERS, layer_point, pass_chance, step_past
 from .geometry_math import max_component
 from .intersect import MISS, Hit, closest_filtered_hit
 from .node_lean import run_lean_transparency
 from .sampling import hashed_unit
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
+
+WALK_ON = wp.constant(0)
+WALK_STOPPED = wp.constant(1)
+"""By the layer"""
+WALK_PASSED = wp.constant(2)
+"""There are no more layers"""
+WALK_OVERRUN = wp.constant(3)
+"""The same, and MAX_LAYERS were not enough"""
 
 
 @wp.func
@@ -24,59 +36,79 @@ def lean_transparency(scene: Scene, point: ShadingPoint, kind: int) -> wp.vec3:
     return run_lean_transparency(scene, point, material.transparency_start)
 
 
-@wp.func
-def accept_lean(
-    scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, first: Hit, kind: int, depth: int, cone: wp.vec2,
-    noise: wp.uint32,
-) -> FilteredHit:
-    """Return the first layer that stops a ray, else the opaque hit: filter.accept_hit step by step."""
-    result = FilteredHit()
-    result.hit = opaque
-    result.weight = wp.vec3(1.0, 1.0, 1.0)
-    result.overrun = 0
-    hit = first
-    for layer in range(MAX_LAYERS):
-        point = layer_point(scene, hit, direction, kind, depth, cone)
-        transparency = lean_transparency(scene, point, kind)
-        chance = pass_chance(scene, point, transparency, kind)
-        if hashed_unit(noise, wp.uint32(layer)) >= chance:
-            result.hit = hit
-            result.weight = result.weight / (1.0 - chance)
-            return result
-        result.weight = wp.cw_mul(result.weight, transparency / chance)
-        start = step_past(point, direction, hit.t)
-        if start >= opaque.t:
-            return result
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, opaque.t - start)
-        if hit.instance == MISS:
-            return result
-        hit.t = hit.t + start
-    result.overrun = 1
-    return result
+@wp.struct
+class LayerWalk:
+    """A ray on its way through layers."""
+
+    hit: Hit
+    """The layer that it has come to"""
+    weight: wp.vec3
+    """What the layers before leave of its light"""
+    layers: int
+    """How many those are"""
+    state: int
+    """WALK_*"""
 
 
 @wp.func
-def transmittance_lean(
-    scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, first: Hit, depth: int,
-) -> FilteredHit:
-    """Return as `weight` the product of all layers' transparency along a shadow ray: filter.transmittance."""
-    result = FilteredHit()
-    result.overrun = 0
-    product = wp.vec3(1.0, 1.0, 1.0)
-    hit = first
-    for _layer in range(MAX_LAYERS):
-        point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
-        product = wp.cw_mul(product, lean_transparency(scene, point, VISIBLE_SHADOW))
-        result.weight = product
-        if max_component(product) <= 0.0:
-            return result
-        start = step_past(point, direction, hit.t)
-        if start >= distance:
-            return result
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
-        if hit.instance == MISS:
-            return result
-        hit.t = hit.t + start
-    result.weight = wp.vec3(0.0, 0.0, 0.0)
-    result.overrun = 1
-    return result
+def start_walk(first: Hit) -> LayerWalk:
+    """Return a ray before its first layer."""
+    walk = LayerWalk()
+    walk.hit = first
+    walk.weight = wp.vec3(1.0, 1.0, 1.0)
+    return walk
+
+
+@wp.func
+def walk_on(
+    scene: Scene, walk: LayerWalk, point: ShadingPoint, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> LayerWalk:
+    """Return a ray that a layer has let through at its next layer before t_max, if there is one."""
+    out = walk
+    out.state = WALK_PASSED
+    out.layers = walk.layers + 1
+    start = step_past(point, direction, walk.hit.t)
+    if start >= t_max:
+        return out
+    hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, t_max - start)
+    if hit.instance == MISS:
+        return out
+    hit.t = hit.t + start
+    out.hit = hit
+    out.state = wp.where(out.layers < MAX_LAYERS, WALK_ON, WALK_OVERRUN)
+    return out
+
+
+@wp.func
+def accept_layer(
+    scene: Scene, walk: LayerWalk, origin: wp.vec3, direction: wp.vec3, t_max: float, kind: int, depth: int,
+    cone: wp.vec2, noise: wp.uint32,
+) -> LayerWalk:
+    """Stop at a layer or go on to the next by chance: a step of filter.accept_hit; opaque hits lie at t_max."""
+    out = walk
+    point = layer_point(scene, walk.hit, direction, kind, depth, cone)
+    transparency = lean_transparency(scene, point, kind)
+    chance = pass_chance(scene, point, transparency, kind)
+    if hashed_unit(noise, wp.uint32(walk.layers)) >= chance:
+        out.weight = walk.weight / (1.0 - chance)
+        out.state = WALK_STOPPED
+        return out
+    out.weight = wp.cw_mul(walk.weight, transparency / chance)
+    return walk_on(scene, out, point, origin, direction, t_max)
+
+
+@wp.func
+def pass_layer(
+    scene: Scene, walk: LayerWalk, origin: wp.vec3, direction: wp.vec3, distance: float, depth: int,
+) -> LayerWalk:
+    """Take a layer's transparency in and go on to the next one: a step of filter.transmittance."""
+    out = walk
+    point = layer_point(scene, walk.hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
+    out.weight = wp.cw_mul(walk.weight, lean_transparency(scene, point, VISIBLE_SHADOW))
+    if max_component(out.weight) <= 0.0:
+        out.state = WALK_STOPPED
+        return out
+    out = walk_on(scene, out, point, origin, direction, distance)
+    if out.state == WALK_OVERRUN:
+        out.weight = wp.vec3(0.0, 0.0, 0.0)
+    return out

@@ -3,7 +3,7 @@
 
 The same as trace_* of gbuffer_rays.py, cache_rays.py, direct_shadow.py and tracing.py with `closest_hit` and the like
 cut down to what such scenes need. Kernels that may also walk the second level keep its state in registers: 90 to 104,
-so that of a GPU's 65536 a multiprocessor 18 to 22 warps are under way there, and 32 to 36 with the 56 to 64 of these.
+so that of a GPU's 65536 a multiprocessor 18 to 22 warps are under way there, and 36 to 42 with the 48 to 56 of these.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer_rays import PrimaryHits, primary_ray
-from .intersect import MISS, Hit, closest_static
+from .intersect import MISS, Hit, any_static, closest_static
 from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
 from .pixel_order import pixel_in_blocks
 from .types import Geometry, Scene
@@ -32,25 +32,22 @@ def no_hit(t_max: float) -> Hit:
 @wp.func
 def closest_flat(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
     """Return intersect.closest_hit."""
-    return closest_static(geometry.static_bvh, geometry.static_faces, origin, direction, no_hit(t_max))
+    return closest_static(geometry.flat, origin, direction, no_hit(t_max))
 
 
 @wp.func
 def closest_flat_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
     """Return intersect.closest_filtered_hit."""
-    return closest_static(
-        geometry.static_filtered_bvh, geometry.static_filtered_faces, origin, direction, no_hit(t_max))
+    return closest_static(geometry.flat_filtered, origin, direction, no_hit(t_max))
 
 
 @wp.func
 def any_flat(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> bool:
     """Return intersect.any_hit."""
-    if geometry.static_bvh == wp.uint64(0):
-        return False
-    return wp.mesh_query_ray_anyhit(geometry.static_bvh, origin, direction, t_max)
+    return any_static(geometry.flat, origin, direction, t_max)
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_primary(
     # In:
     first: int,
@@ -72,7 +69,7 @@ def trace_flat_primary(
     hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_primary_layers(
     # In:
     first: int,
@@ -95,7 +92,7 @@ def trace_flat_primary_layers(
     hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_rays(
     # In:
     first: int,
@@ -113,7 +110,7 @@ def trace_flat_rays(
         scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_further(
     # In:
     scene: Scene,
@@ -138,7 +135,7 @@ def trace_flat_further(
         i = i + stride
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_layers(
     # In:
     first: int,
@@ -155,7 +152,7 @@ def trace_flat_layers(
         scene.geometry, paths_out.origin[slot], paths_out.direction[slot], load_hit(paths_out, slot).t))
 
 
-@wp.kernel(cuda_max_registers=56)
+@wp.kernel(cuda_max_registers=48)
 def trace_flat_shadows(
     # In:
     first: int,
@@ -171,7 +168,7 @@ def trace_flat_shadows(
             rays_out.shadow_distance[slot] = 0.0
 
 
-@wp.kernel(cuda_max_registers=56)
+@wp.kernel(cuda_max_registers=48)
 def trace_flat_cache_shadows(
     # In:
     first: int,
@@ -195,7 +192,7 @@ def trace_flat_cache_shadows(
         paths_out.shadow_distance[slot] = 0.0
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def trace_flat_shadow_layers(
     # In:
     first: int,

@@ -30,17 +30,6 @@ def flatten_vertices(
 
 
 @wp.kernel
-def collapse_vertices(
-    # In:
-    first: int,
-    # Out:
-    points_out: wp.array[wp.vec3],
-):
-    """Pull an instance's flattened vertices together, so that no ray can meet its triangles there."""
-    points_out[first + wp.tid()] = points_out[first]
-
-
-@wp.kernel
 def measure_emitters(
     # In:
     scene: Scene,

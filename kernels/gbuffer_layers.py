@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter import FilteredHit, accept_hit
+from .filter import accept_hit
 from .gbuffer_rays import PrimaryHits, primary_ray
-from .intersect import MISS
+from .intersect import MISS, Hit
 from .layers import LAYER_STREAM
 from .paths import make_hit
 from .sampling import hash_combine, pixel_seed_of
@@ -27,12 +27,11 @@ def layer_noise(view: View, pixel: int, width: int) -> wp.uint32:
 
 
 @wp.func
-def store_found(hits: PrimaryHits, pixel: int, found: FilteredHit):
+def store_found(hits: PrimaryHits, pixel: int, found: Hit):
     """Put the hit that stops a ray in the place of the opaque one."""
-    hits.t[pixel] = found.hit.t
-    hits.hit[pixel] = wp.vec2i(found.hit.instance, found.hit.triangle)
-    hits.barycentrics[pixel] = wp.vec2(found.hit.u, found.hit.v)
-    hits.weight[pixel] = found.weight
+    hits.t[pixel] = found.t
+    hits.hit[pixel] = wp.vec2i(found.instance, found.triangle)
+    hits.barycentrics[pixel] = wp.vec2(found.u, found.v)
 
 
 @wp.kernel
@@ -56,4 +55,5 @@ def filter_primary(
     layer = make_hit(hits_out.layer_t[pixel], hits_out.layer[pixel], hits_out.layer_barycentrics[pixel])
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
     found = accept_hit(scene, ray.origin, ray.direction, opaque, layer, VISIBLE_CAMERA, 0, cone, noise)
-    store_found(hits_out, pixel, found)
+    store_found(hits_out, pixel, found.hit)
+    hits_out.weight[pixel] = found.weight

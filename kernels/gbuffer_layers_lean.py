@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_lean import accept_lean
+from .filter_lean import WALK_ON, WALK_STOPPED, LayerWalk, accept_layer, start_walk
 from .gbuffer_layers import layer_noise, store_found
 from .gbuffer_rays import PrimaryHits, primary_ray
 from .intersect import MISS
@@ -18,17 +18,15 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def filter_pixel(view: View, scene: Scene, width: int, hits: PrimaryHits, pixel: int):
-    """Pass or stop at each layer of one pixel by chance."""
-    if hits.layer[pixel][0] == MISS:
-        return
+def meet_pixel_layer(
+    view: View, scene: Scene, width: int, hits: PrimaryHits, pixel: int, walk: LayerWalk,
+) -> LayerWalk:
+    """Pass or stop at one layer of a pixel by chance."""
     ray = primary_ray(view, pixel % width, pixel // width)
-    opaque = make_hit(hits.t[pixel], hits.hit[pixel], hits.barycentrics[pixel])
-    layer = make_hit(hits.layer_t[pixel], hits.layer[pixel], hits.layer_barycentrics[pixel])
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
-    noise = layer_noise(view, pixel, width)
-    found = accept_lean(scene, ray.origin, ray.direction, opaque, layer, VISIBLE_CAMERA, 0, cone, noise)
-    store_found(hits, pixel, found)
+    return accept_layer(
+        scene, walk, ray.origin, ray.direction, hits.t[pixel], VISIBLE_CAMERA, 0, cone,
+        layer_noise(view, pixel, width))
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -45,6 +43,20 @@ def filter_primary_lean(
 ):
     """Pass or stop at each layer of listed pixels by chance, see gbuffer_layers.filter_primary."""
     i = wp.tid()
-    while i < count[0]:
-        filter_pixel(views[0], scene, width, hits_out, queue[i])
-        i = i + stride
+    pixel = int(-1)
+    walk = LayerWalk()
+    while pixel >= 0 or i < count[0]:
+        if pixel < 0:
+            pixel = queue[i]
+            i = i + stride
+            walk = start_walk(make_hit(hits_out.layer_t[pixel], hits_out.layer[pixel],
+                                       hits_out.layer_barycentrics[pixel]))
+            if walk.hit.instance == MISS:
+                pixel = int(-1)
+        if pixel >= 0:
+            walk = meet_pixel_layer(views[0], scene, width, hits_out, pixel, walk)
+            if walk.state != WALK_ON:
+                if walk.state == WALK_STOPPED:
+                    store_found(hits_out, pixel, walk.hit)
+                hits_out.weight[pixel] = walk.weight
+                pixel = int(-1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernel that runs the material of every pixel (or the world) and packs what it says into the G-buffer.
+"""The kernel that runs materials (or the world) with the full machine and packs what they say into the G-buffer.
 
 Where a material mixes several BSDFs one is drawn with the pixel's random number of the frame, so that frames average
 to the mix.
@@ -23,25 +23,9 @@ from .view import View
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-@wp.kernel
-def shade_primary(
-    # In:
-    first: int,
-    views: wp.array[View],
-    scene: Scene,
-    width: int,
-    filtered: int,
-    rest: int,
-    hits: PrimaryHits,
-    # Out:
-    gbuffer_out: GBuffer,
-):
-    """Fill the G-buffer but for its motion; `rest` 1: only where shade_lean has not."""
-    pixel = first + wp.tid()
-    if rest == 1:
-        if gbuffer_out.hit[pixel][0] != LEFT:
-            return
-    view = views[0]
+@wp.func
+def shade_pixel(view: View, scene: Scene, width: int, filtered: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int):
+    """Fill one pixel's entry."""
     x = pixel % width
     y = pixel // width
     ray = primary_ray(view, x, y)
@@ -62,9 +46,32 @@ def shade_primary(
         radiance = closure.emission
         if scene.environment.constant == 1:
             radiance = scene.environment.radiance
-        store_world(view, scene, radiance, weight, gbuffer_out, pixel)
+        store_world(view, scene, radiance, weight, gbuffer, pixel)
     else:
         bsdf = prepare_bsdf(scene.tables, closure, point)
         store_surface(
             view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
-            wp.dot(bsdf.specular_normal, point.wo), bsdf.emission, weight, gbuffer_out, pixel)
+            wp.dot(bsdf.specular_normal, point.wo), bsdf.emission, weight, gbuffer, pixel)
+
+
+@wp.kernel
+def shade_primary(
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    filtered: int,
+    hits: PrimaryHits,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    gbuffer_out: GBuffer,
+):
+    """Fill the G-buffer but for its motion at those of the listed pixels that shade_lean has left."""
+    i = wp.tid()
+    while i < count[0]:
+        pixel = queue[i]
+        if gbuffer_out.hit[pixel][0] == LEFT:
+            shade_pixel(views[0], scene, width, filtered, hits, gbuffer_out, pixel)
+        i = i + stride

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays against the scene: closest hit, any hit, and the geometry of a hit. Thin: knows no materials.
 
-Static triangles lie flattened in one wp.Mesh in world space; instances that move or are too many to flatten lie
+Static triangles lie flattened in one 8-wide BVH in world space; instances that move or are too many to flatten lie
 under a wp.Bvh whose leaves are queried in object space (a mesh query inside a bvh query works in Warp, a bvh query
 inside another does not). Triangles that need a test per hit (transparency, visibility by ray kind) lie in
 structures of their own, queried by filter.py layer by layer.
@@ -15,7 +15,8 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
-from .types import Geometry, Scene, ShadingPoint
+from .types import FlatTriangles, Geometry, Scene, ShadingPoint
+from .wide_bvh import any_wide, closest_wide
 
 # Nothing was hit.
 MISS = wp.constant(-1)
@@ -41,20 +42,29 @@ class Hit:
 
 
 @wp.func
-def closest_static(bvh: wp.uint64, faces: wp.array[wp.vec2i], origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
-    """Shorten `hit` by the flattened triangles of one structure (0: there is none)."""
+def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
+    """Shorten `hit` by the flattened triangles of one structure."""
     result = hit
-    if bvh != wp.uint64(0):
-        query = wp.mesh_query_ray(bvh, origin, direction, hit.t)
-        if query.result:
-            face = faces[query.face]
-            result.t = query.t
+    if flat.nodes.shape[0] > 0:
+        found = closest_wide(flat.nodes, flat.triangles, origin, direction, hit.t)
+        number = wp.cast(found[3], int)
+        if number >= 0:
+            face = flat.faces[number]
+            result.t = found[0]
             result.instance = face[0]
             result.triangle = face[1]
-            # Warp weighs the first vertex by u and the second by v.
-            result.u = query.v
-            result.v = 1.0 - query.u - query.v
+            # The weights found are those of the first and second vertex.
+            result.u = found[2]
+            result.v = 1.0 - found[1] - found[2]
     return result
+
+
+@wp.func
+def any_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, t_max: float) -> bool:
+    """Return whether a flattened triangle of one structure lies before t_max."""
+    if flat.nodes.shape[0] == 0:
+        return False
+    return any_wide(flat.nodes, flat.triangles, origin, direction, t_max)
 
 
 @wp.func
@@ -81,6 +91,7 @@ def closest_instanced(geometry: Geometry, filtered: int, origin: wp.vec3, direct
                 result.t = local.t
                 result.instance = index
                 result.triangle = geometry.mesh_faces[first_face + local.face]
+                # Warp weighs the first vertex by u and the second by v.
                 result.u = local.v
                 result.v = 1.0 - local.u - local.v
     return result
@@ -92,7 +103,7 @@ def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: 
     hit = Hit()
     hit.t = t_max
     hit.instance = MISS
-    hit = closest_static(geometry.static_bvh, geometry.static_faces, origin, direction, hit)
+    hit = closest_static(geometry.flat, origin, direction, hit)
     return closest_instanced(geometry, 0, origin, direction, hit)
 
 
@@ -102,16 +113,15 @@ def closest_filtered_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3
     hit = Hit()
     hit.t = t_max
     hit.instance = MISS
-    hit = closest_static(geometry.static_filtered_bvh, geometry.static_filtered_faces, origin, direction, hit)
+    hit = closest_static(geometry.flat_filtered, origin, direction, hit)
     return closest_instanced(geometry, 1, origin, direction, hit)
 
 
 @wp.func
 def any_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> bool:
     """Return whether an opaque triangle lies before t_max."""
-    if geometry.static_bvh != wp.uint64(0):
-        if wp.mesh_query_ray_anyhit(geometry.static_bvh, origin, direction, t_max):
-            return True
+    if any_static(geometry.flat, origin, direction, t_max):
+        return True
     if geometry.instance_bvh != wp.uint64(0):
         query = wp.bvh_query_ray(geometry.instance_bvh, origin, direction)
         leaf = int(0)
@@ -140,17 +150,29 @@ def absolute(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def instance_shift(geometry: Geometry, instance: int) -> wp.vec3:
+    """Return the magnitudes whose rounding rays keep that were moved to an instance's object space; 0 if flattened.
+
+    A large translation cancelled by large object coordinates leaves its rounding behind. Flattened triangles are
+    met where surface_point finds them, however their vertices were rounded.
+    """
+    if geometry.instances[instance].opaque_bvh == wp.uint64(0):
+        if geometry.instances[instance].filtered_bvh == wp.uint64(0):
+            return wp.vec3(0.0, 0.0, 0.0)
+    m = geometry.instances[instance].to_world
+    return wp.vec3(wp.abs(m[0, 3]), wp.abs(m[1, 3]), wp.abs(m[2, 3]))
+
+
+@wp.func
 def hit_error(
-    p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, u: float, v: float, normal: wp.vec3, to_world: wp.mat44,
+    p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, u: float, v: float, normal: wp.vec3, shift: wp.vec3,
 ) -> float:
     """Return how far along its normal a hit on a triangle may lie off it.
 
     Coordinates count one by one: a floor at z = 0 has no error in z, however large it is, and rays may start in the
-    narrowest gap above it.
+    narrowest gap above it. `shift` is from `instance_shift`.
     """
     magnitude = absolute(p0) * (1.0 - u - v) + absolute(p1) * u + absolute(p2) * v
-    # A large translation cancelled by large object coordinates leaves its rounding behind.
-    shift = wp.vec3(wp.abs(to_world[0, 3]), wp.abs(to_world[1, 3]), wp.abs(to_world[2, 3]))
     extent = wp.max(wp.max(wp.length(p0), wp.length(p1)), wp.length(p2))
     along = wp.dot(absolute(normal), magnitude + shift)
     return UNIT_ROUNDOFF * (ERROR_ROUNDOFFS * along + extent)
@@ -191,7 +213,7 @@ def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
     point.triangle = hit.triangle
     point.u = hit.u
     point.v = hit.v
-    point.error = hit_error(p0, p1, p2, hit.u, hit.v, ng, to_world)
+    point.error = hit_error(p0, p1, p2, hit.u, hit.v, ng, instance_shift(geometry, hit.instance))
     slot = wp.min(geometry.slots[hit.triangle], geometry.instances[hit.instance].material_count - 1)
     point.material = scene.materials.instance_materials[geometry.instances[hit.instance].material_offset + slot]
     return point

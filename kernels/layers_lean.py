@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_lean import accept_lean
+from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_STOPPED, LayerWalk, accept_layer, start_walk
 from .intersect import MISS
 from .layers import LAYER_STREAM
 from .paths import ENDED, Paths, load_hit, load_layer, store_hit
@@ -16,18 +16,41 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
+def has_layers(paths: Paths, path: int) -> bool:
+    """Return whether a path has layers to walk through."""
+    return paths.state[path] != ENDED and paths.layer[path][0] != MISS
+
+
+@wp.func
+def meet_layer(scene: Scene, paths: Paths, path: int, walk: LayerWalk) -> LayerWalk:
+    """Take one layer of a path, see layers.filter_paths."""
+    # Read anew for each layer: registers are scarcer than loads.
+    surfaces = paths.state[path]
+    noise = hash_combine(hash_combine(paths.seed[path], paths.index[path]), wp.uint32(surfaces + LAYER_STREAM))
+    return accept_layer(
+        scene, walk, paths.origin[path], paths.direction[path], load_hit(paths, path).t, paths.kind[path], surfaces,
+        paths.cone[path], noise)
+
+
+@wp.func
+def finish_path(paths: Paths, path: int, walk: LayerWalk):
+    """Store what a path through layers has come to."""
+    if walk.state == WALK_STOPPED:
+        store_hit(paths, path, walk.hit)
+    if walk.state == WALK_OVERRUN:
+        paths.overruns[path] = paths.overruns[path] + 1
+    paths.throughput[path] = wp.cw_mul(paths.throughput[path], walk.weight)
+
+
+@wp.func
 def filter_path(scene: Scene, paths: Paths, path: int):
     """Walk through the layers of one path, see layers.filter_paths."""
-    if paths.state[path] == ENDED or paths.layer[path][0] == MISS:
+    if not has_layers(paths, path):
         return
-    noise = hash_combine(
-        hash_combine(paths.seed[path], paths.index[path]), wp.uint32(paths.state[path] + LAYER_STREAM))
-    found = accept_lean(
-        scene, paths.origin[path], paths.direction[path], load_hit(paths, path), load_layer(paths, path),
-        paths.kind[path], paths.state[path], paths.cone[path], noise)
-    store_hit(paths, path, found.hit)
-    paths.overruns[path] = paths.overruns[path] + found.overrun
-    paths.throughput[path] = wp.cw_mul(paths.throughput[path], found.weight)
+    walk = start_walk(load_layer(paths, path))
+    while walk.state == WALK_ON:
+        walk = meet_layer(scene, paths, path, walk)
+    finish_path(paths, path, walk)
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -42,6 +65,17 @@ def filter_paths_lean(
 ):
     """Walk through the layers of triangles that need a test, in front of the opaque hits of listed paths."""
     i = wp.tid()
-    while i < count[0]:
-        filter_path(scene, paths_out, queue[i])
-        i = i + stride
+    path = int(-1)
+    walk = LayerWalk()
+    while path >= 0 or i < count[0]:
+        if path < 0:
+            path = queue[i]
+            i = i + stride
+            walk = start_walk(load_layer(paths_out, path))
+            if not has_layers(paths_out, path):
+                path = int(-1)
+        if path >= 0:
+            walk = meet_layer(scene, paths_out, path, walk)
+            if walk.state != WALK_ON:
+                finish_path(paths_out, path, walk)
+                path = int(-1)

@@ -11,7 +11,7 @@ import warp as wp
 
 from .environment_table import environment_pdf, sample_environment
 from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
-from .intersect import hit_error, world_vertex
+from .intersect import hit_error, instance_shift, world_vertex
 from .lamp_hit import FAR, one_minus_cos_of_sphere, spot_attenuation, spread_attenuation
 from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle
@@ -206,7 +206,7 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
     if s.kind < 0:
         return s
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
-    s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, to_world)
+    s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, instance_shift(geometry, s.instance))
     return s
 
 

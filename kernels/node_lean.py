@@ -12,7 +12,7 @@ import warp as wp
 
 from . import node_codes as codes
 from .geometry_math import normalize_or, sqr
-from .layering import add_dielectric, add_diffuse, add_metal
+from .layering import add_dielectric, add_diffuse, add_metal, prepare_bsdf
 from .lobe_setup import unit_normal
 from .node_closure import argument, xyz
 from .node_input import attribute_value, uv_coordinate
@@ -24,7 +24,7 @@ from .reflectance import BsdfAlbedo, add_base
 from .texture import sample_texture
 from .types import CLOSURE_PRINCIPLED, Bsdf, Closure, Scene, ShadingPoint, Tables
 
-__all__ = ["LeanClosure", "LeanSurface", "lean_surface", "run_lean", "run_lean_transparency"]
+__all__ = ["LeanClosure", "LeanSurface", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
 
 LEAN_REGISTERS = wp.constant(8)
 
@@ -42,6 +42,8 @@ class LeanClosure:
     specular_level: float
     specular_tint: wp.vec3
     subsurface: float
+    transmission: float
+    """Read by plain_bsdf alone"""
     multiscatter: int
     emission: wp.vec3
     """Radiance, the closure's own included"""
@@ -197,6 +199,7 @@ def read_lean(
         c.specular_level = argument(m, registers, first, codes.ARG_SPECULAR_LEVEL)[0]
         c.specular_tint = xyz(argument(m, registers, first, codes.ARG_SPECULAR_TINT))
         c.subsurface = argument(m, registers, first, codes.ARG_SUBSURFACE)[0]
+        c.transmission = argument(m, registers, first, codes.ARG_TRANSMISSION)[0]
         c.emission = xyz(argument(m, registers, first, codes.ARG_EMISSION)) * c.weight
     return c
 
@@ -267,6 +270,21 @@ def full_closure(lean: LeanClosure) -> Closure:
     c.subsurface = lean.subsurface
     c.multiscatter = lean.multiscatter
     return c
+
+
+@wp.func
+def plain_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
+    """Return the BSDF of a lean closure that may be glass: what layering.prepare_bsdf makes of it.
+
+    Constants leave little of that function.
+    """
+    closure = full_closure(lean)
+    closure.kind = CLOSURE_PRINCIPLED
+    closure.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
+    closure.normal = lean.normal
+    closure.transmission = lean.transmission
+    closure.emission = lean.emission
+    return prepare_bsdf(tables, closure, point)
 
 
 @wp.func

@@ -22,7 +22,6 @@ from .filter_weights import unit_normal
 from .gbuffer import GBuffer, load_material
 from .geometry_math import PI, mean_component, sqr
 from .ggx import bounded_cap
-from .long_mean import unpack_mean
 from .normals import valid_specular_normal
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba, unpack_normal
@@ -36,13 +35,13 @@ from .reflection_blocks import (
     block_depth,
     filter_tap,
     in_grid,
-    light_strength,
     pack_state,
     row_reach,
     state_lobe,
     unpack_state,
 )
 from .reflection_types import LOBE_REFLECTION, SAMPLE_FAR, ReflectionOptions, ReflectionSamples
+from .reflection_width import error_reach, filter_reach
 from .specular_lobes import surface_alpha
 from .view import SKY_DEPTH, View, direction_to_eye, eye_position, film_position, pixel_footprint, unproject
 
@@ -68,13 +67,6 @@ REPLACED_SHARE = wp.constant(0.25)
 WEIGHT_MINIMUM = wp.constant(0.1)
 # Kernels narrower than this share of the taps' spacing hold nothing but the centre.
 NARROW = wp.constant(0.25)
-# Frames at rest between which the filters shrink to nothing, where the mean's relative error lies below the first; they
-# stay as wide as they were where it is above the second. Light below ERROR_FLOOR is too dark to see errors in.
-REST_START = wp.constant(16.0)
-REST_END = wp.constant(160.0)
-ERROR_LOW = wp.constant(0.01)
-ERROR_HIGH = wp.constant(0.04)
-ERROR_FLOOR = wp.constant(0.02)
 # Of their width, what is left in the end for differences of the normals where they stay wide.
 TURN_SHARE = wp.constant(0.3)
 # Exponent beyond which a weight is as good as none, but tells near from far.
@@ -128,22 +120,8 @@ class FilterLobe:
     """Share of the filter's width that is left at rest"""
     turn_reach: float
     """The same of what normals may differ by"""
-
-
-@wp.func
-def filter_reach(view: View) -> float:
-    """Return by how much filters are narrower: 1 in motion, falling to nearly 0 at rest."""
-    rest = float(wp.min(view.rest, view.light_age))
-    return wp.clamp((REST_END - rest) / (REST_END - REST_START), 1.0e-3, 1.0)
-
-
-@wp.func
-def error_reach(history: ReflectionHistory, pixel: int) -> float:
-    """Return how much of a filter's width is worth keeping at rest, 0..1, by the error left in a pixel's mean."""
-    state = unpack_halves(history.state[pixel])
-    error = state[2] / wp.sqrt(wp.max(wp.abs(state[0]), 1.0))
-    error = error / (light_strength(unpack_mean(history.light[pixel])) + ERROR_FLOOR)
-    return wp.clamp((error - ERROR_LOW) / (ERROR_HIGH - ERROR_LOW), 0.0, 1.0)
+    closeness: float
+    """1 / distance from the surface of what is reflected around here [1/m]"""
 
 
 @wp.func
@@ -185,10 +163,11 @@ def drawn_density(lobe: FilterLobe, direction: wp.vec3) -> float:
 @wp.func
 def filter_lobe(
     view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, history: ReflectionHistory,
-    centre: FilterCentre,
+    centre: FilterCentre, closeness: float,
 ) -> FilterLobe:
-    """Return the lobe of a centre."""
+    """Return the lobe of a centre; `closeness` is ReflectionBlocks.closeness there."""
     out = FilterLobe()
+    out.closeness = closeness
     pixel = centre.y * options.width + centre.x
     depth = centre.plane.depth
     out.position = unproject(view.camera, film_position(view, centre.x, centre.y), depth)
@@ -236,11 +215,11 @@ def angle_of_pixel(lobe: FilterLobe, closeness: float) -> float:
 
 
 @wp.func
-def pass_sigma(options: ReflectionOptions, part: FilterPass, lobe: FilterLobe, closeness: float) -> float:
+def pass_sigma(options: ReflectionOptions, part: FilterPass, lobe: FilterLobe) -> float:
     """Return the width of a pass for one pixel [px]: as much as is left to blur of its lobe."""
     if part.ratio == 0:
         return part.sigma * lobe.reach
-    width = lobe.reach * lobe.spread / angle_of_pixel(lobe, closeness)
+    width = lobe.reach * lobe.spread / angle_of_pixel(lobe, lobe.closeness)
     if part.first == 1 and options.lobe == LOBE_REFLECTION:
         return wp.min(part.sigma * lobe.reach, RATIO_SHARE * width)
     width = BLUR_SHARE * width
@@ -248,9 +227,9 @@ def pass_sigma(options: ReflectionOptions, part: FilterPass, lobe: FilterLobe, c
 
 
 @wp.func
-def lobe_overlap(centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float) -> float:
+def lobe_overlap(centre: FilterCentre, lobe: FilterLobe, tap: FilterTap) -> float:
     """Return how much alike two surfaces reflect a point: 1 for the same lobe about the same direction."""
-    moved = angle_of_pixel(lobe, closeness) / (lobe.spread * lobe.reach)
+    moved = angle_of_pixel(lobe, lobe.closeness) / (lobe.spread * lobe.reach)
     square = float(tap.dx * tap.dx + tap.dy * tap.dy) * sqr(moved)
     alike = float(1.0)
     # Even surfaces are the most, and all threads of a warp lie on the same.
@@ -289,7 +268,10 @@ def tap_weight(
     view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
     centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float,
 ) -> wp.vec2:
-    """Return d * p of a block, and how much of a sample of its own it is for the centre."""
+    """Return d * p of a block, and how much of a sample of its own it is for the centre.
+
+    `closeness` is that of its own sample.
+    """
     own = tap.dx == 0 and tap.dy == 0
     confidence = tap.confidence
     if part.ratio == 0:
@@ -299,7 +281,7 @@ def tap_weight(
         return wp.vec2(tap.near * drawn_density(lobe, rgb(to_hit)) / lobe.peak, tap.near)
     match = tap.near
     if not own:
-        match *= lobe_overlap(centre, lobe, tap, closeness)
+        match *= lobe_overlap(centre, lobe, tap)
     if part.first == 0:
         return wp.vec2(match * wp.max(confidence, WEIGHT_MINIMUM), match * confidence)
     if confidence == 0.0:
@@ -362,8 +344,8 @@ def filter_blocks(
         light = load_reflection(part, lights, block)
         state[0] = load_root(part, state[0])
         centre = block_centre(view, gbuffer, options, blocks, state_lobe(words), block)
-        lobe = filter_lobe(view, gbuffer, options, part, history, centre)
-        sigma = pass_sigma(options, part, lobe, light[3])
+        lobe = filter_lobe(view, gbuffer, options, part, history, centre, float(blocks.closeness[block]))
+        sigma = pass_sigma(options, part, lobe)
         spacing = float(part.spacing * options.stride)
         if state[1] < 0.0:
             sigma = wp.max(sigma, 0.5 * spacing)

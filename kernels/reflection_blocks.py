@@ -38,12 +38,15 @@ ROUGHNESS_MASK = wp.constant(wp.uint32(65535))
 
 @wp.struct
 class ReflectionBlocks:
-    """Where and on what each block was sampled: 9 bytes a block."""
+    """Where and on what each block was sampled: 11 bytes a block."""
 
     surface: wp.array[wp.uint64]
     """Bits of the depth [m] (SKY_DEPTH: no sample) | pack_normal of the shading normal << 32"""
     mark: wp.array[wp.uint8]
     """MARK_* | jitter of the last filter << JITTER_SHIFT"""
+    closeness: wp.array[wp.float16]
+    """Mean of 1 / distance to the hits around [1/m]. Widths and weights go by this, not by each sample's own: what is
+    far is brighter than what is near, or darker, and would count for more"""
 
 
 @wp.struct
@@ -51,7 +54,7 @@ class ReflectionLight:
     """Reflected light on its way through the filter, a block or a pixel: 16 bytes in two words."""
 
     light: wp.array[wp.uint64]
-    """pack_halves: demodulated radiance, exposed; w = mean of 1 / distance to the hit [1/m]"""
+    """pack_halves: demodulated radiance, exposed; w = mean of 1 / distance to the hit [1/m], 0 where there is none"""
     state: wp.array[wp.uint64]
     """Of blocks: two half-floats, root mean square of the light's strength and how much of a sample of its own this
     is, 0..1 (UNKNOWN: nothing is known) | what was sampled << 32: roughness that filters go by (unorm16) | column
@@ -270,7 +273,9 @@ def gather_samples(
             found = unpack_halves(samples.radiance[block])
             if samples.pdf[block] > 0.0 and is_finite3(rgb(found)):
                 color = wp.max(rgb(found), wp.vec3(0.0, 0.0, 0.0))
-                light = rgba(color, 1.0 / wp.clamp(found[3], 1.0 / SAMPLE_FAR, SAMPLE_FAR))
+                # A direction that the surface itself absorbs has no distance.
+                near = wp.where(found[3] > 0.0, 1.0 / wp.clamp(found[3], 1.0 / SAMPLE_FAR, SAMPLE_FAR), 0.0)
+                light = rgba(color, near)
                 confidence = float(1.0)
     blocks_out.surface[block] = wp.uint64(wp.cast(depth, wp.uint32)) | (wp.uint64(normal) << wp.uint64(32))
     lights_out.light[block] = pack_halves(light)

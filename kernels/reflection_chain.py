@@ -16,7 +16,15 @@ from .gbuffer import Surface, SurfaceMaterial
 from .geometry_math import max_component, mean_component
 from .packing import pack_normal
 from .paths import ENDED, Paths
-from .reflectance import BsdfAlbedo, fit_lobe
+from .reflectance import BsdfAlbedo, bsdf_albedo, fit_lobe
+from .reflection_glass import (
+    GlassSample,
+    as_cached,
+    is_inside,
+    sample_inside,
+    sample_transmission,
+    trapped_albedo,
+)
 from .reflection_lights import emitter_ray_share, world_ray_share
 from .reflection_rays import (
     DIMENSION_DIRECTION,
@@ -35,7 +43,7 @@ from .reflection_rays import (
 from .reflection_types import SAMPLE_FAR
 from .sampling import sample_pair
 from .specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
-from .types import VISIBLE_GLOSSY, Scene, ShadingPoint
+from .types import VISIBLE_GLOSSY, Bsdf, Scene, ShadingPoint
 
 # Lobes sharper than this send rays on; rougher ones show their surroundings too blurred to tell.
 MIRROR_ROUGHNESS = wp.constant(0.3)
@@ -232,3 +240,41 @@ def mirror_ray(
     if pdf > 0.0 and wp.dot(direction, point.geometric_normal) > 0.0:
         weight = lobes_value(m, lobes, direction) / (pdf * chance)
     follow(point, direction, weight, pdf, VISIBLE_GLOSSY, paths, slot)
+
+
+@wp.func
+def meet_surface(
+    scene: Scene, point: ShadingPoint, bsdf: Bsdf, reflection: int, last: int, rays: ReflectionRays, paths: Paths,
+    vertices: Vertices, slot: int,
+):
+    """Take in a hit: add what it emits, and send the ray on or end it; `last` 1: end it."""
+    surfaces = paths.state[slot]
+    inside = is_inside(bsdf, point)
+    outer = bsdf
+    if inside:
+        outer.pick_glass = 0.0
+    albedo = bsdf_albedo(scene.tables, outer, point.wo)
+    if inside:
+        # Both halves of the glass go on together.
+        albedo.transmitted = trapped_albedo(scene.tables, bsdf, point.wo)
+    cosine = wp.dot(bsdf.specular_normal, point.wo)
+    add_emission(scene, point, bsdf.emission, reflection, rays, paths, vertices, slot)
+    lobe = mirror_material(albedo)
+    branch = choose_branch(albedo, lobe.specular, last, paths, slot, surfaces)
+    if branch.kind == BRANCH_MIRROR:
+        mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
+    elif branch.kind == BRANCH_GLASS:
+        seed = paths.seed[slot]
+        index = paths.index[slot]
+        place = sample_pair(seed, index, DIMENSION_DIRECTION + DIMENSIONS * surfaces)
+        s = GlassSample()
+        if inside:
+            choice = sample_pair(seed, index, DIMENSION_LOBE + DIMENSIONS * surfaces)
+            s = sample_inside(bsdf, albedo.transmitted, point.wo, place, choice[0], surfaces)
+        else:
+            s = sample_transmission(bsdf, point.wo, place)
+        follow(point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
+    else:
+        if inside:
+            albedo = as_cached(bsdf, albedo, point.wo)
+        end_ray(point, albedo, lobe.specular, bsdf.normal, branch, rays, paths, vertices, slot)

@@ -34,7 +34,7 @@ from .reflection_blocks import (
     state_lobe,
     unpack_state,
 )
-from .reflection_types import ReflectionOptions
+from .reflection_types import SAMPLE_FAR, ReflectionOptions
 from .view import SKY_DEPTH, View
 
 # Fast: weights need no division that is exact to the last bit.
@@ -114,12 +114,13 @@ def mark_samples(
     lights: ReflectionLight,
     # Out:
     mark_out: wp.array[wp.uint8],
+    closeness_out: wp.array[wp.float16],
     lights_out: ReflectionLight,
     excess_out: wp.array[wp.uint64],
 ):
-    """Find sparks and missing samples, and how uneven the roughness is around; banded over blocks.
+    """Find sparks and missing samples, how uneven the roughness is around and how close what is reflected there.
 
-    41 bytes a block and those of 13 blocks (cached).
+    Banded over blocks; 43 bytes a block and those of 13 blocks (cached).
 
     In detail:
         first: Of the band.
@@ -132,6 +133,7 @@ def mark_samples(
     light = unpack_halves(lights.light[block])
     state = lights.state[block]
     excess = wp.vec3(0.0, 0.0, 0.0)
+    closeness = wp.vec2(light[3], wp.where(light[3] > 0.0, 1.0, 0.0))
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
         centre = block_centre(views[0], gbuffer, options, blocks, state_lobe(state), block)
         own = light_strength(rgb(light))
@@ -157,6 +159,8 @@ def mark_samples(
                         count += 1.0
                         spread += w
                         other = unpack_halves(lights.light[tap.block])
+                        if other[3] > 0.0:
+                            closeness += wp.vec2(other[3] * w, w)
                         if light_strength(rgb(other)) > threshold:
                             near += 1.0
                         else:
@@ -177,6 +181,7 @@ def mark_samples(
             excess = (rgb(light) - mixed) / spread
             light = rgba(mixed, light[3])
         mark = mark | (uneven_roughness(rough) << JITTER_SHIFT)
+    closeness_out[block] = wp.float16(wp.max(closeness[0] / wp.max(closeness[1], 1.0e-6), 1.0 / SAMPLE_FAR))
     store_mark(mark, light, state, excess, block, mark_out, lights_out, excess_out)
 
 

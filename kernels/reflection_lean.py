@@ -10,19 +10,11 @@ from .environment_split import EnvironmentSplit
 from .environment_table import has_texels, texel_of
 from .geometry_math import PI
 from .intersect import MISS
-from .node_lean import lean_surface, run_lean
+from .node_lean import plain_bsdf, run_lean
 from .paths import ENDED, Paths, hit_point
-from .reflection_chain import (
-    BRANCH_MIRROR,
-    add_emission,
-    choose_branch,
-    end_ray,
-    mirror_material,
-    mirror_ray,
-    miss_light,
-)
+from .reflection_chain import meet_surface, miss_light
 from .reflection_rays import LEFT, ReflectionRays
-from .types import MATERIAL_LEAN, Scene
+from .types import MATERIAL_PLAIN, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -70,21 +62,15 @@ def follow_one(
         miss_light(scene, split, radiance, reflection, rays, paths, vertices, slot)
         return
     point = hit_point(scene, paths, slot, surfaces)
-    if (scene.materials.materials[point.material].flags & MATERIAL_LEAN) == 0:
+    if (scene.materials.materials[point.material].flags & MATERIAL_PLAIN) == 0:
         vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)
         return
     closure = run_lean(scene, point, scene.materials.materials[point.material].surface_start)
-    surface = lean_surface(scene.tables, closure, point)
-    add_emission(scene, point, closure.emission, reflection, rays, paths, vertices, slot)
-    lobe = mirror_material(surface.albedo)
-    branch = choose_branch(surface.albedo, lobe.specular, last, paths, slot, surfaces)
-    if branch.kind == BRANCH_MIRROR:
-        mirror_ray(scene, point, surface.albedo, lobe, surface.normal, surface.cosine, branch.chance, paths, slot)
-    else:
-        end_ray(point, surface.albedo, lobe.specular, surface.normal, branch, rays, paths, vertices, slot)
+    bsdf = plain_bsdf(scene.tables, closure, point)
+    meet_surface(scene, point, bsdf, reflection, last, rays, paths, vertices, slot)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def follow_lean(
     # In:
     scene: Scene,

@@ -11,40 +11,13 @@ import warp as wp
 
 from .cache_rays import Vertices
 from .environment_split import EnvironmentSplit
-from .intersect import MISS, closest_filtered_hit, closest_hit
+from .intersect import MISS
 from .layering import prepare_bsdf
-from .layers_lean import filter_path
 from .nodes import run, world_point
-from .paths import ENDED, Paths, hit_point, load_hit, store_hit, store_layer
-from .reflectance import bsdf_albedo
-from .reflection_chain import (
-    BRANCH_GLASS,
-    BRANCH_MIRROR,
-    add_emission,
-    choose_branch,
-    end_ray,
-    follow,
-    mirror_material,
-    mirror_ray,
-    miss_light,
-)
-from .reflection_glass import (
-    GlassSample,
-    as_cached,
-    is_inside,
-    sample_inside,
-    sample_transmission,
-    trapped_albedo,
-)
-from .reflection_lamps import add_lamps
-from .reflection_rays import (
-    DIMENSION_CLOSURE,
-    DIMENSION_DIRECTION,
-    DIMENSION_LOBE,
-    DIMENSIONS,
-    LEFT,
-    ReflectionRays,
-)
+from .paths import ENDED, Paths, hit_point
+from .reflection_chain import meet_surface, miss_light
+from .reflection_rays import DIMENSION_CLOSURE, DIMENSIONS, LEFT, ReflectionRays
+from .reflection_tail import trace_segment
 from .sampling import sample_pair
 from .types import Scene
 
@@ -74,46 +47,7 @@ def follow_one(
         miss_light(scene, split, closure.emission, reflection, rays, paths, vertices, slot)
         return
     bsdf = prepare_bsdf(scene.tables, closure, point)
-    inside = is_inside(bsdf, point)
-    outer = bsdf
-    if inside:
-        outer.pick_glass = 0.0
-    albedo = bsdf_albedo(scene.tables, outer, point.wo)
-    if inside:
-        # Both halves of the glass go on together.
-        albedo.transmitted = trapped_albedo(scene.tables, bsdf, point.wo)
-    cosine = wp.dot(bsdf.specular_normal, point.wo)
-    add_emission(scene, point, bsdf.emission, reflection, rays, paths, vertices, slot)
-    lobe = mirror_material(albedo)
-    branch = choose_branch(albedo, lobe.specular, last, paths, slot, surfaces)
-    if branch.kind == BRANCH_MIRROR:
-        mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
-    elif branch.kind == BRANCH_GLASS:
-        place = sample_pair(seed, index, DIMENSION_DIRECTION + DIMENSIONS * surfaces)
-        s = GlassSample()
-        if inside:
-            choice = sample_pair(seed, index, DIMENSION_LOBE + DIMENSIONS * surfaces)
-            s = sample_inside(bsdf, albedo.transmitted, point.wo, place, choice[0], surfaces)
-        else:
-            s = sample_transmission(bsdf, point.wo, place)
-        follow(point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
-    else:
-        if inside:
-            albedo = as_cached(bsdf, albedo, point.wo)
-        end_ray(point, albedo, lobe.specular, bsdf.normal, branch, rays, paths, vertices, slot)
-
-
-@wp.func
-def trace_segment(scene: Scene, reflection: int, filtered: int, paths: Paths, vertices: Vertices, slot: int):
-    """Find what a segment meets; `filtered` 1: behind transparent layers, all of which the lean machine knows."""
-    store_hit(paths, slot, closest_hit(
-        scene.geometry, paths.origin[slot], paths.direction[slot], paths.t[slot]))
-    if filtered == 1:
-        store_layer(paths, slot, closest_filtered_hit(
-            scene.geometry, paths.origin[slot], paths.direction[slot], load_hit(paths, slot).t))
-        filter_path(scene, paths, slot)
-    if scene.lights.lamp_count > 0:
-        add_lamps(scene, reflection, paths, vertices, slot)
+    meet_surface(scene, point, bsdf, reflection, last, rays, paths, vertices, slot)
 
 
 @wp.kernel
@@ -140,8 +74,8 @@ def follow_full(
         split: Of the world.
         reflection: REFLECTED, REFRACTED or GATHERED.
         last: 1: end them.
-        segments: 0: what follow_lean has left of the segment that has been traced. Otherwise trace so many segments
-            more and take in all of them; the last ends the rays.
+        segments: 0: take in what follow_lean has left of the segment that has been traced. Otherwise trace and take in
+            all segments that are left of so many, the last of which ends the rays; first what follow_tail has left.
         filtered: For traced segments, whether there are triangles that need a test.
         stride: Number of threads.
         count: Number of rays.
@@ -153,16 +87,17 @@ def follow_full(
     i = wp.tid()
     while i < count[0]:
         slot = queue[i]
-        k = int(0)
-        under_way = paths_out.state[slot] != ENDED
-        if segments == 0:
-            under_way = under_way and vertices_out.reflectance[slot][3] == LEFT
+        surfaces = paths_out.state[slot]
+        left = vertices_out.reflectance[slot][3] == LEFT
+        under_way = surfaces != ENDED and (left or segments > 0)
         while under_way:
-            k = k + 1
+            if not left:
+                trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
             final = last
             if segments > 0:
-                trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
-                final = wp.where(k == segments, 1, 0)
+                final = wp.where(surfaces >= segments, 1, 0)
             follow_one(scene, split, reflection, final, rays_out, paths_out, vertices_out, slot)
-            under_way = k < segments and paths_out.state[slot] != ENDED
+            left = False
+            surfaces = paths_out.state[slot]
+            under_way = segments > 0 and surfaces != ENDED
         i = i + stride

@@ -106,10 +106,10 @@ def tap_axes(sigma: float, stride: float, frame: int) -> wp.vec2:
 
 
 @wp.func
-def sample_rate(options: ReflectionOptions, lobe: FilterLobe, closeness: float) -> float:
+def sample_rate(options: ReflectionOptions, lobe: FilterLobe) -> float:
     """Return how much of a sample of its own a frame brings a pixel on average: one in its turn, less from others."""
     places = float(options.stride * options.stride)
-    moved = angle_of_pixel(lobe, closeness) * float(options.stride) / (2.0 * lobe.spread * lobe.reach)
+    moved = angle_of_pixel(lobe, lobe.closeness) * float(options.stride) / (2.0 * lobe.spread * lobe.reach)
     overlap = wp.exp(-wp.min(moved * moved, EXPONENT_MAX))
     return wp.lerp(1.0 / places, 1.0, overlap)
 
@@ -194,10 +194,9 @@ def upscale_blocks(
         view = views[0]
         home = block_of(options, pixel)
         centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(m))
-        lobe = filter_lobe(view, gbuffer, options, part, history, centre)
+        lobe = filter_lobe(view, gbuffer, options, part, history, centre, float(blocks.closeness[home]))
         stride = float(options.stride)
-        closeness = load_reflection(part, lights, home)[3]
-        sigma = wp.max(pass_sigma(options, part, lobe, closeness), SIGMA_MINIMUM * stride)
+        sigma = wp.max(pass_sigma(options, part, lobe), SIGMA_MINIMUM * stride)
         right = tap_axes(sigma, stride, view.frame)
         column = home % options.columns
         row = home // options.columns
@@ -238,7 +237,7 @@ def upscale_blocks(
         apart = around(part, found.moments, light)
         state[0] = apart[0]
         state[2] = apart[1]
-        state[3] = sample_rate(options, lobe, closeness)
+        state[3] = sample_rate(options, lobe)
         light = expanded(part, light)
     lights_out.light[pixel] = pack_halves(light)
     lights_out.state[pixel] = pack_halves(state)

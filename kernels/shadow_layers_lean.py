@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_lean import transmittance_lean
+from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_PASSED, LayerWalk, pass_layer, start_walk
 from .intersect import MISS
 from .paths import Options, Paths, load_layer
 from .shadow_layers import add_weakened
@@ -15,19 +15,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def weaken_ray(scene: Scene, options: Options, bounce: int, paths: Paths, path: int):
-    """Weaken the light of one shadow ray, see shadow_layers.weaken_shadow_rays."""
-    distance = paths.shadow_distance[path]
-    if distance == 0.0 or paths.layer[path][0] == MISS:
-        return
-    light = paths.shadow_light[path]
-    if distance > 0.0:
-        passed = transmittance_lean(
-            scene, paths.shadow_origin[path], paths.shadow_direction[path], distance, load_layer(paths, path),
-            bounce + 1)
-        light = wp.cw_mul(light, passed.weight)
-        paths.overruns[path] = paths.overruns[path] + passed.overrun
-    add_weakened(options, bounce, paths, path, light)
+def finish_ray(options: Options, bounce: int, paths: Paths, path: int, walk: LayerWalk):
+    """Store what is left of a shadow ray's light, see shadow_layers.weaken_shadow_rays."""
+    if walk.state == WALK_OVERRUN:
+        paths.overruns[path] = paths.overruns[path] + 1
+    add_weakened(options, bounce, paths, path, wp.cw_mul(paths.shadow_light[path], walk.weight))
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -44,6 +36,24 @@ def weaken_shadow_rays_lean(
 ):
     """Multiply the light of listed rays by the layers' transparencies; add it where no program of it is pending."""
     i = wp.tid()
-    while i < count[0]:
-        weaken_ray(scene, options, bounce, paths_out, queue[i])
-        i = i + stride
+    path = int(-1)
+    walk = LayerWalk()
+    while path >= 0 or i < count[0]:
+        if path < 0:
+            path = queue[i]
+            i = i + stride
+            walk = start_walk(load_layer(paths_out, path))
+            distance = paths_out.shadow_distance[path]
+            if distance == 0.0 or walk.hit.instance == MISS:
+                path = int(-1)
+            elif not distance > 0.0:
+                # Nothing can be in its way.
+                walk.state = WALK_PASSED
+        if path >= 0:
+            if walk.state == WALK_ON:
+                walk = pass_layer(
+                    scene, walk, paths_out.shadow_origin[path], paths_out.shadow_direction[path],
+                    paths_out.shadow_distance[path], bounce + 1)
+            if walk.state != WALK_ON:
+                finish_ray(options, bounce, paths_out, path, walk)
+                path = int(-1)

@@ -12,8 +12,8 @@ import warp as wp
 from .shading_types import Bsdf, BsdfSample, BsdfValue, Closure, ShadingPoint
 
 __all__ = [
-    "Bsdf", "BsdfSample", "BsdfValue", "Closure", "Environment", "FrameData", "Geometry", "Instance", "Light",
-    "Lights", "Material", "Materials", "Scene", "ShadingPoint", "Tables", "TextureInfo", "Textures",
+    "Bsdf", "BsdfSample", "BsdfValue", "Closure", "Environment", "FlatTriangles", "FrameData", "Geometry", "Instance",
+    "Light", "Lights", "Material", "Materials", "Scene", "ShadingPoint", "Tables", "TextureInfo", "Textures",
 ]
 
 # Ray kinds and object flags: the bits of engine.scene.Visibility.
@@ -59,6 +59,8 @@ MATERIAL_LEAN_TRANSPARENCY = wp.constant(16)
 """The same of its transparency program"""
 MATERIAL_LEAN_FLAT = wp.constant(32)
 """The same of its flat program: the surface program without normal maps and bump"""
+MATERIAL_PLAIN = wp.constant(64)
+"""The lean machine runs its surface program, of which plain glass may be a part (node_lean.plain_bsdf)"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 
@@ -96,16 +98,24 @@ class Instance:
 
 
 @wp.struct
+class FlatTriangles:
+    """Triangles in world space in an 8-wide BVH (wide_bvh.py)."""
+
+    nodes: wp.array[wp.uint32]
+    """Empty where there are no triangles"""
+    triangles: wp.array[wp.uint32]
+    faces: wp.array[wp.vec2i]
+    """(instance, triangle) per face; triangle indexes Geometry.triangles"""
+
+
+@wp.struct
 class Geometry:
     """All triangles and the structures over them."""
 
-    static_bvh: wp.uint64
-    """wp.Mesh of all flattened opaque triangles in world space, 0 for none"""
-    static_filtered_bvh: wp.uint64
-    """wp.Mesh of all flattened triangles that need a test per hit, 0 for none"""
-    static_faces: wp.array[wp.vec2i]
-    """(instance, triangle) per face of static_bvh; triangle indexes `triangles`"""
-    static_filtered_faces: wp.array[wp.vec2i]
+    flat: FlatTriangles
+    """The flattened opaque triangles"""
+    flat_filtered: FlatTriangles
+    """The flattened triangles that need a test per hit"""
     instance_bvh: wp.uint64
     """wp.Bvh over the instances that are not flattened, 0 for none"""
     bvh_instances: wp.array[int]

@@ -95,7 +95,9 @@ class BURNISH_RENDER_PT_performance(BurnishPanel, Panel):
     def draw(self, context: Any) -> None:
         """Draw."""
         layout = self.split_layout()
-        layout.prop(context.scene.burnish.performance, "instancing_threshold")
+        performance = context.scene.burnish.performance
+        layout.prop(performance, "instancing_threshold")
+        layout.prop(performance, "deterministic")
         layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
         layout.operator("burnish.warm_up", icon='SHADERFX')
 

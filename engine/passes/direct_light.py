@@ -171,7 +171,7 @@ class DirectLightPass:
                 if lean_layers:
                     graph.fill_list(compaction.append_layered_shadows, self.slots, [self.rays], self.layered)
                     graph.launch_listed(
-                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.rays])
+                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.rays], few=True)
                 else:
                     graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.rays])
             if textured:
@@ -213,6 +213,12 @@ class DirectLightPass:
             direct_debug.show_direct, self.width * self.height,
             [self._views, self._options(1), int(DEBUG_CHANNELS[name]), self.reservoirs.current(parity), self.rays,
              self.light], [picture])
+
+    def stats(self, parity: int) -> dict[str, int]:
+        """Return how many pixels had a light for a shadow ray in the last frame, of this parity; waits for it."""
+        sampled = self.light.diffuse.numpy()[:, 3] > 0.0
+        chosen = (self.reservoirs.current(parity).sample.numpy() != 0).any(-1)
+        return {"direct shadow rays": int((sampled & chosen).sum())}
 
     def _options(self, lights: int) -> DirectOptions:
         """Return the settings: no more candidates than lights; frames before help only where those are too few."""

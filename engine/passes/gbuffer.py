@@ -68,6 +68,7 @@ class GBufferPass:
         self.hits = self._fill(
             PrimaryHits(), {"t": wp.float32, "hit": wp.vec2i, "barycentrics": wp.vec2}, count)
         self._fit_layers(1)
+        self.left = make_work_list(count, self.device)
         self.reprojection = self._fill(Reprojection(), {"position": wp.vec2, "taps": wp.uint8}, count)
 
     def _fill(self, buffers: object, arrays: dict[str, type], count: int) -> object:
@@ -125,8 +126,11 @@ class GBufferPass:
             graph.launch(
                 gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, int(filtered), hits], [gbuffer])
             if not all_lean or scene.environment.constant == 0:
-                graph.launch(
-                    gbuffer_materials.shade_primary, count, [views, scene, width, int(filtered), 1, hits], [gbuffer])
+                graph.fill_list(
+                    compaction.append_left_pixels, in_blocks, [gbuffer.hit, width, height], self.left)
+                graph.launch_listed(
+                    gbuffer_materials.shade_primary, [views, scene, width, int(filtered), hits], self.left, [gbuffer],
+                    few=True)
             if scene.lights.lamp_count > 0:
                 graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, int(filtered), hits], [gbuffer])
         with graph.section("Reprojection"):
@@ -146,7 +150,7 @@ class GBufferPass:
             graph.fill_list(
                 compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
             graph.launch_listed(
-                gbuffer_layers_lean.filter_primary_lean, [views, scene, width], self.layered, [hits])
+                gbuffer_layers_lean.filter_primary_lean, [views, scene, width], self.layered, [hits], few=True)
         else:
             graph.launch(gbuffer_layers.filter_primary, width * height, [views, scene, width], [hits])
 

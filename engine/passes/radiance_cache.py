@@ -14,6 +14,7 @@ import warp as wp
 
 from ...kernels import (
     cache_cells,
+    cache_claim,
     cache_debug,
     cache_lean,
     cache_lights,
@@ -46,7 +47,7 @@ from ..shadow_rays import make_options, make_queue
 from ..structures import is_flat
 from ..work_list import make_work_list
 
-__all__ = ["RadianceCachePass", "count_rays", "smallest_cell"]
+__all__ = ["RadianceCachePass", "count_rays", "record_insertion", "smallest_cell"]
 
 SMALLEST_CELL = 0.1
 """Metres: the published minimum, for rooms"""
@@ -111,19 +112,39 @@ def count_rays(paths: Paths, vertices: Vertices, grid: HashGrid, count: int, con
     return control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
 
 
+def threads_race(device: str) -> bool:
+    """Return whether the threads of a launch with atomics come in an order that differs from run to run."""
+    return wp.get_device(device).is_cuda
+
+
+def record_insertion(
+    graph: FrameGraph, views: wp.array, paths: Paths, vertices: Vertices, grid: HashGrid, offset: int, count: int, *,
+    deterministic: bool,
+) -> None:
+    """Record finding or making the cells of `count` hits from slot `offset` on.
+
+    With `deterministic` which cells find room, and where, depends on their keys alone (cache_claim.py).
+    """
+    if deterministic:
+        graph.launch(cache_claim.claim_vertices, count, [views, paths, vertices, offset], [grid], banded=False)
+        graph.launch(cache_claim.settle_cells, len(grid.keys), [], [grid], banded=False)
+    graph.launch(cache_cells.insert_vertices, count, [views, paths, offset], [grid, vertices], banded=False)
+
+
 class RadianceCachePass:
     """Owns the cells; traces and answers the probes' rays."""
 
     name = "cache"
     debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_CHANNELS}
 
-    def __init__(self, device: str, settings: CacheSettings):
+    def __init__(self, device: str, settings: CacheSettings, *, deterministic: bool = False):
         self.device, self.settings = device, settings
+        self.deterministic = deterministic and threads_race(device)
         self.width = self.height = 0
         self.capacity = 1 << settings.capacity
         self.grid = self._make_grid()
         control = CacheControl()
-        control.age = self._zeros(1, int)
+        control.age, control.live = self._zeros(1, int), self._zeros(1, int)
         control.balance = self._zeros(int(cache_cells.LANES) * 9, wp.int64)
         control.factors = self._zeros(2, wp.vec3)
         control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
@@ -198,7 +219,7 @@ class RadianceCachePass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
-        world: wp.array | None = None,
+        world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -217,6 +238,8 @@ class RadianceCachePass:
             all_lean: Whether the lean node machine runs all flat programs (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs.
             world: The world's radiance by texels, where it is known (DeviceScene.world_texels).
+            started: Whether record_start has been called, as it must be before anything makes cells.
+            after: Branches of the graph that add cells and samples.
         """
         self._all_lean, self._lean_layers = all_lean, lean_layers
         self._world = self._zeros(1, wp.vec3) if world is None else world
@@ -224,10 +247,15 @@ class RadianceCachePass:
         self.grid.minimum = minimum_cell
         self._views, self._gbuffer[parity] = views, gbuffer
         with graph.section("Cache rays"):
-            self._record_start(graph, views)
             graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
             self._record_hits(graph, scene, 0, count)
         self._record_materials(graph, scene, views, 0, count, threshold)
+        # Others may make cells and add samples while this goes on, unless their order is to be fixed.
+        if self.deterministic:
+            graph.join(*after)
+        if not started:
+            self.record_start(graph, views)
+        self._record_insertion(graph, views, 0, count)
         if self.bounces > 0:
             with graph.section("Cache bounces"):
                 graph.launch(
@@ -236,15 +264,18 @@ class RadianceCachePass:
                     [self.paths, self.vertices])
                 self._record_hits(graph, scene, count, self.bounces)
             self._record_materials(graph, scene, views, count, self.bounces, threshold)
+            self._record_insertion(graph, views, count, self.bounces)
         self._record_lights(graph, scene, views, programs)
-        self._record_cells(graph, views, rays)
+        self._record_cells(graph, views, rays, after)
 
-    def _record_start(self, graph: FrameGraph, views: wp.array) -> None:
-        graph.clear(self.control.balance)
+    def record_start(self, graph: FrameGraph, views: wp.array) -> None:
+        """Record making room for a frame's cells; a frame that goes on with `record`."""
         share = int(cache_cells.PURGE_SHARE)
-        graph.launch(
-            cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
-            [self.grid, self.control], banded=False)
+        with graph.section("Cache cells"):
+            graph.clear(self.control.balance)
+            graph.launch(
+                cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
+                [self.grid, self.control], banded=False)
 
     def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
         """Record finding the hits of `count` rays from slot `offset` on."""
@@ -260,14 +291,14 @@ class RadianceCachePass:
             if self._lean_layers:
                 layered = self.layered.part(offset, count)
                 graph.fill_list(compaction.append_layered_paths, count, [self.paths, offset], layered)
-                graph.launch_listed(layers_lean.filter_paths_lean, [scene], layered, [self.paths])
+                graph.launch_listed(layers_lean.filter_paths_lean, [scene], layered, [self.paths], few=True)
             else:
                 graph.launch_queued(layers.filter_paths, [scene], queue, [self.paths])
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
     ) -> None:
-        """Record what the hits of `count` rays from slot `offset` on are made of, and their cells."""
+        """Record what the hits of `count` rays from slot `offset` on are made of."""
         with graph.section("Cache materials"):
             what = [int(offset > 0), self.grid.weighed, threshold, int(self._layers), self.paths]
             graph.launch(
@@ -276,15 +307,23 @@ class RadianceCachePass:
                 left = self.left.part(offset, count)
                 graph.fill_list(compaction.append_left_hits, count, [self.vertices.emission, offset], left)
                 graph.launch_listed(
-                    cache_materials.evaluate_cache_materials, [views, scene, *what], left, [self.vertices])
+                    cache_materials.evaluate_cache_materials, [views, scene, *what], left, [self.vertices],
+                    few=True)
+
+    def _record_insertion(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
+        """Record finding or making the cells of the hits of `count` rays from slot `offset` on."""
         with graph.section("Cache cells"):
-            graph.launch(
-                cache_cells.insert_vertices, count, [views, self.paths, offset],
-                [self.grid, self.vertices], banded=False)
+            record_insertion(
+                graph, views, self.paths, self.vertices, self.grid, offset, count, deterministic=self.deterministic)
 
     def _record_lights(self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool) -> None:
         """Record direct light at all hits."""
         total = self.count + self.bounces
+        if scene.lights.class_count == 0:
+            # Black samples: nothing else writes them.
+            self.paths.radiance.zero_()
+            self.paths.shadow_distance.zero_()
+            return
         with graph.section("Cache lights"):
             graph.launch(
                 cache_lights.choose_cache_lights, total, [views, scene, self._world, self.vertices, self.grid.weighed],
@@ -302,14 +341,14 @@ class RadianceCachePass:
                 if self._lean_layers:
                     graph.fill_list(compaction.append_layered_shadows, total, [self.paths], self.layered)
                     graph.launch_listed(
-                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.paths])
+                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.paths], few=True)
                 else:
                     graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
             if programs:
                 graph.fill_list(compaction.append_pending_shadows, total, [self.paths], self.left)
                 graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [self.paths])
 
-    def _record_cells(self, graph: FrameGraph, views: wp.array, rays: ProbeRays) -> None:
+    def _record_cells(self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...]) -> None:
         """Record taking the light into the cells, and the answer."""
         grid, control, settings = self.grid, self.control, self.settings
         with graph.section("Cache cells"):
@@ -317,10 +356,14 @@ class RadianceCachePass:
                 graph.launch(
                     cache_shade.gather_bounces, self.bounces,
                     [views, grid, self.paths, self.count, int(settings.bounces != 2)], [self.vertices])
+            if self.deterministic and self.bounces > 0:
+                graph.launch(cache_claim.claim_coarse, self.bounces, [self.vertices], [grid], banded=False)
+                graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
             graph.launch(
                 cache_cells.accumulate_light, self.count + self.bounces,
                 [views, self.paths, self.vertices, self.count], [grid, control], banded=False)
-            graph.launch(cache_cells.measure_balance, 1, [], [control], banded=False)
+            graph.join(*after)
+            graph.launch(cache_cells.measure_balance, 1, [grid], [control], banded=False)
             graph.launch(
                 cache_cells.update_cells, self.capacity, [views, control, float(settings.sample_cap)], [grid])
             graph.launch(

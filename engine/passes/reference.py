@@ -18,6 +18,7 @@ import warp as wp
 from ...kernels import (
     compaction,
     film,
+    flat_paths,
     layers,
     materials,
     misses,
@@ -29,8 +30,14 @@ from ...kernels import (
 from ...kernels.paths import ENDED, Options, Paths
 from ...kernels.types import Closure, FrameData, Scene
 from ..device import launch, record, run_bands
+from ..structures import is_flat
 
 __all__ = ["FilmBuffers", "ReferencePass"]
+
+ANY_RAYS = tracing.trace_paths, tracing.trace_layers, tracing.trace_shadows, tracing.trace_shadow_layers
+FLAT_RAYS = (flat_paths.trace_flat_paths, flat_paths.trace_flat_path_layers, flat_paths.trace_flat_path_shadows,
+             flat_paths.trace_flat_path_shadow_layers)
+"""The same where there are no instances"""
 
 CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
@@ -284,14 +291,15 @@ class ReferencePass:
         rays = [scene, queue]
         misses_of = [scene, options, queue]
         shadows = [scene, options, 0, queue]
-        steps = [(tracing.trace_paths, rays)]
+        trace, trace_layers, trace_shadows, trace_shadow_layers = FLAT_RAYS if is_flat(scene) else ANY_RAYS
+        steps = [(trace, rays)]
         if options.filtered == 1:
-            steps += [(tracing.trace_layers, rays), (layers.filter_paths, rays)]
+            steps += [(trace_layers, rays), (layers.filter_paths, rays)]
         steps += [
             (misses.shade_misses, misses_of), (materials.evaluate_materials, rays),
-            (reference.shade_paths, [slot.frame, scene, options, queue]), (tracing.trace_shadows, shadows)]
+            (reference.shade_paths, [slot.frame, scene, options, queue]), (trace_shadows, shadows)]
         if options.filtered == 1:
-            steps += [(tracing.trace_shadow_layers, shadows), (shadow_layers.weaken_shadow_rays, shadows)]
+            steps += [(trace_shadow_layers, shadows), (shadow_layers.weaken_shadow_rays, shadows)]
         if options.programs == 1:
             steps += [(shadow_lights.shade_lights, shadows)]
         return [

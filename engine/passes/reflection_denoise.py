@@ -99,6 +99,7 @@ class ReflectionDenoisePass:
         self.blocks = ReflectionBlocks()
         self.blocks.surface = wp.zeros(blocks, dtype=wp.uint64, device=device)
         self.blocks.mark = wp.zeros(blocks, dtype=wp.uint8, device=device)
+        self.blocks.closeness = wp.zeros(blocks, dtype=wp.float16, device=device)
         self._excess = wp.zeros(blocks, dtype=wp.uint64, device=device)
         self._lights = (light(blocks), light(blocks))
         self.filtered = light(pixels)
@@ -139,7 +140,7 @@ class ReflectionDenoisePass:
         cleanup = self.settings.reflection_cleanup
         graph.launch(
             reflection_cleanup.mark_samples, count, [views, gbuffer, options, int(cleanup), self.blocks, source],
-            [self.blocks.mark, target, self._excess])
+            [self.blocks.mark, self.blocks.closeness, target, self._excess])
         if cleanup:
             graph.launch(
                 reflection_cleanup.clean_samples, count,

@@ -32,6 +32,7 @@ from ...kernels import (
     reflection_resolve,
     reflection_screen,
     reflection_start,
+    reflection_tail,
     reflection_trace,
     shadow_layers,
     shadow_layers_lean,
@@ -59,7 +60,15 @@ from ..settings import ReflectionResolution, ReflectionSettings
 from ..shadow_rays import make_options, make_queue
 from ..structures import is_flat
 from ..work_list import WorkList, make_work_list
-from .radiance_cache import BOUNCE_ARRAYS, LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS, VERTEX_ARRAYS, count_rays
+from .radiance_cache import (
+    BOUNCE_ARRAYS,
+    LAYER_ARRAYS,
+    RAY_ARRAYS,
+    UNUSED_ARRAYS,
+    VERTEX_ARRAYS,
+    count_rays,
+    record_insertion,
+)
 from .screen_probes import ScreenProbePass
 
 __all__ = ["RayScene", "ReflectionPass", "reflection_options"]
@@ -108,12 +117,19 @@ class RayScene:
     """Whether there are triangles that need a test per hit (Structures.has_filtered)"""
     programs: bool = True
     """Whether lights may be programs (DeviceScene.has_hit_programs)"""
-    all_lean: bool = False
-    """Whether the lean node machine runs all materials (MaterialTable.lean)"""
+    all_plain: bool = False
+    """Whether the lean node machine runs all materials, glass included (MaterialTable.lean)"""
     lean_layers: bool = False
     """Whether it runs all transparency programs"""
     mirrors: bool = True
     """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
+    deterministic: bool = False
+    """Whether frames shall be the same in every run"""
+
+    @property
+    def needs_full(self) -> bool:
+        """Whether anything takes the full node machine."""
+        return not self.all_plain or self.scene.environment.constant == 0
 
 
 def reflection_options(
@@ -140,6 +156,7 @@ class ReflectionPass:
         names = DEBUG_CHANNELS if self.lobe == int(LOBE_REFLECTION) else ()
         self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
         self.width = self.height = 0
+        self._room: tuple | None = None
 
     def _fill(self, buffers: object, arrays: dict[str, type], count: int) -> object:
         for name, dtype in arrays.items():
@@ -177,7 +194,7 @@ class ReflectionPass:
         self.living, self.left = make_work_list(count, self.device), make_work_list(count, self.device)
         self.layered = make_work_list(count if filtered else 1, self.device)
         # The cache's counters are those of the probes' rays.
-        self.control = self._fill(CacheControl(), {"age": int, "balance": wp.int64, "factors": wp.vec3}, 1)
+        self.control = self._fill(CacheControl(), {"age": int, "live": int, "balance": wp.int64, "factors": wp.vec3}, 1)
         self._fill(self.control, {"counters": int}, int(cache_cells.LANES) * int(cache_cells.COUNTERS))
 
     def reset(self) -> None:
@@ -185,7 +202,7 @@ class ReflectionPass:
 
     def record_rays(
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous: GBuffer,
-        previous_color: wp.array, what: RayScene, grid: HashGrid,
+        previous_color: wp.array, what: RayScene, grid: HashGrid, *, after: tuple[str, ...] = (),
     ) -> None:
         """Record choosing the pixels and tracing rays; comes before the cache's frame, which takes in their light.
 
@@ -198,6 +215,7 @@ class ReflectionPass:
             previous_color: vec4h, exposed: the composite of the frame before.
             what: The scene.
             grid: The radiance cache's cells, ready for this scene.
+            after: Branches of the graph that make cells before, where their order is to be fixed.
         """
         self._fit(what.filtered)
         self._gbuffer[parity], self._grid = gbuffer, grid
@@ -216,7 +234,9 @@ class ReflectionPass:
         for index in range(waves):
             self._record_segment(graph, what, index, last=index == segments - 1)
         if waves < segments:
-            self._record_ends(graph, what, segments - waves)
+            self._record_ends(graph, what, segments)
+        if what.deterministic:
+            graph.join(*after)
         reuse = self.settings.screen_reuse
         if self.lobe == int(LOBE_DIFFUSE):
             self._record_near_hits(graph, views, what, grid)
@@ -264,23 +284,28 @@ class ReflectionPass:
             graph.launch_listed(
                 reflection_lean.follow_lean, [scene, what.split, what.world, *arguments], work,
                 [rays, paths, vertices])
-            if not what.all_lean or scene.environment.constant == 0:
+            if what.needs_full:
                 if index == 0:
                     work = self.left
                     graph.fill_list(reflection_place.append_left, blocks, [paths, vertices], work)
                 graph.launch_listed(
                     reflection_materials.follow_full, [scene, what.split, *arguments, 0, 0], work,
-                    [rays, paths, vertices])
+                    [rays, paths, vertices], few=True)
 
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
-        """Record following the rays that are still under way over so many segments, the last."""
-        paths = self.paths
+        """Record following the rays that are still under way to their ends, over so many segments in all."""
+        paths, last = self.paths, [segments, int(what.filtered)]
+        outputs = [self.rays, paths, self.vertices]
         with graph.section(self._section("materials")):
             graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)
             graph.launch_listed(
-                reflection_materials.follow_full,
-                [what.scene, what.split, self.reflection, 1, segments, int(what.filtered)], self.living,
-                [self.rays, paths, self.vertices], few=True)
+                reflection_tail.follow_tail, [what.scene, what.split, what.world, self.reflection, *last],
+                self.living, outputs, few=True)
+            if what.needs_full:
+                graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)
+                graph.launch_listed(
+                    reflection_materials.follow_full, [what.scene, what.split, self.reflection, 1, *last],
+                    self.living, outputs, few=True)
 
     def _record_layers(self, graph: FrameGraph, what: RayScene, *, traced: bool) -> None:
         """Record looking through transparent layers in front of the hits; `traced`: the first of them is known."""
@@ -291,7 +316,7 @@ class ReflectionPass:
                 graph.launch_queued(tracing.trace_layers, [what.scene], self.queue, [self.paths])
         if what.lean_layers:
             graph.fill_list(compaction.append_layered_paths, self.blocks, [self.paths, 0], self.layered)
-            graph.launch_listed(layers_lean.filter_paths_lean, [what.scene], self.layered, [self.paths])
+            graph.launch_listed(layers_lean.filter_paths_lean, [what.scene], self.layered, [self.paths], few=True)
         else:
             graph.launch_queued(layers.filter_paths, [what.scene], self.queue, [self.paths])
 
@@ -299,8 +324,23 @@ class ReflectionPass:
         """Record lighting the hits in which rays have ended, with a shadow ray each, for them and for their cells."""
         scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
         with graph.section(self._section("hits")):
+            record_insertion(graph, views, paths, vertices, grid, 0, blocks, deterministic=what.deterministic)
+        if scene.lights.class_count > 0:
+            self._record_shadows(graph, what, grid)
+        else:
+            # Black samples: nothing else writes them.
+            paths.radiance.zero_()
+            paths.shadow_distance.zero_()
+        with graph.section(self._section("hits")):
+            # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
             graph.launch(
-                cache_cells.insert_vertices, blocks, [views, paths, 0], [grid, vertices], banded=False)
+                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid, self.control],
+                banded=False)
+
+    def _record_shadows(self, graph: FrameGraph, what: RayScene, grid: HashGrid) -> None:
+        """Record choosing a light for each hit, and its shadow ray."""
+        scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
+        with graph.section(self._section("hits")):
             candidates = 1 if what.programs else CANDIDATES
             graph.launch(
                 reflection_choice.choose_reflection_lights, blocks,
@@ -317,17 +357,13 @@ class ReflectionPass:
                     graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [paths])
                 if what.lean_layers:
                     graph.fill_list(compaction.append_layered_shadows, blocks, [paths], self.layered)
-                    graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [paths])
+                    graph.launch_listed(
+                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [paths], few=True)
                 else:
                     graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [paths])
             if what.programs:
                 graph.fill_list(compaction.append_pending_shadows, blocks, [paths], self.left)
                 graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [paths])
-        with graph.section(self._section("hits")):
-            # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
-            graph.launch(
-                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid, self.control],
-                banded=False)
 
     def record_samples(
         self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, grid: HashGrid, probes: ScreenProbePass,

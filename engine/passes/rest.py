@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The picture at rest: filtered frames blended with path-traced samples by estimated error.
+"""The picture at rest: path-traced samples, denoised by what filtered frames know.
 
-Owns the blended picture and the weights. Real-time frames have stopped when this runs, so it is launched on its own
-and is no part of a frame's record.
+Owns the picture and its bands. Frames hardly change any more when this runs, so it is launched on its own and is no
+part of a frame's record.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from __future__ import annotations
 import warp as wp
 
 from ...kernels import composite_debug, rest_blend
+from ...kernels.gbuffer import GBuffer
 from ..device import launch
 from .reference import FilmBuffers
 
 __all__ = ["RestBlend"]
 
-WINDOW_RADIUS = 4
-"""Pixels to each side over which the filtered picture's bias is measured"""
+BANDS = 6
+"""Of the a-trous transform: the widest kernel reaches 63 pixels to each side"""
 
 
 class RestBlend:
@@ -26,42 +27,80 @@ class RestBlend:
 
     debug_views = {
         "rest.weight":
-            "Share of path-traced samples in the picture, once it has been at rest for long: white is all",
+            "Share of the finest detail that comes from path-traced samples, once the picture has been at rest for "
+            "some frames: white is all",
     }
 
     def __init__(self, device: str):
         self.device = device
         self.width = self.height = 0
+        self._frames = 0
+        self._ready = False
 
     def resize(self, width: int, height: int) -> None:
-        """Allocate for a size [px]."""
+        """Set the size [px]."""
         self.width, self.height = width, height
-        count = width * height
-        self.weight = wp.zeros(count, dtype=float, device=self.device)
-        self._picture = wp.zeros(count, dtype=wp.vec4, device=self.device)
-        self._errors = wp.zeros(count, dtype=wp.vec4, device=self.device)
-        self._sums = wp.zeros(count, dtype=wp.vec4, device=self.device)
+        self._ready = False
+        self.reset()
 
     def reset(self) -> None:
-        """Forget the last blend."""
-        self.weight.zero_()
+        """Forget the frames at rest."""
+        self._frames = 0
+
+    def _allocate(self) -> None:
+        """Allocate when a picture has come to rest: one that never does costs no memory."""
+        count = self.width * self.height
+        self._normals = wp.zeros(count, dtype=wp.vec3, device=self.device)
+        self.weight = wp.zeros(count, dtype=float, device=self.device)
+        self._share, self._variance, self._trust = (
+            wp.zeros(count, dtype=float, device=self.device) for _ in range(3))
+        self._picture, self._kept, self._guide, *self._colors = (
+            wp.zeros(count, dtype=wp.vec4, device=self.device) for _ in range(5))
+        self._ratio = wp.zeros(count, dtype=wp.vec2, device=self.device)
+        self._ready = True
+
+    def add_frame(self, gbuffer: GBuffer) -> None:
+        """Take in the surfaces of a frame at rest."""
+        if not self._ready:
+            self._allocate()
+        launch(rest_blend.add_normals, self.width * self.height, [0, gbuffer, self._frames], [self._normals],
+               self.device)
+        self._frames += 1
 
     def resolve(self, film_buffers: FilmBuffers, f_picture: wp.array, transparent: bool = True) -> wp.array:
-        """Return the blend on the device, valid until the next call: vec4 [h * w].
+        """Return the picture on the device, valid until the next call: vec4 [h * w].
 
         Args:
             film_buffers: Path-traced samples since the picture came to rest, any number of them.
             f_picture: vec4 [h * w], what real-time frames have averaged at rest, exposed as the film is.
             transparent: Whether alpha is kept; else it is 1, as film.resolve_color has it.
         """
+        if not self._ready:
+            self._allocate()
         count, film = self.width * self.height, film_buffers.film
-        launch(rest_blend.measure_errors, count, [0, film, f_picture], [self._errors], self.device)
-        launch(rest_blend.sum_rows, count, [0, self._errors, self.width, WINDOW_RADIUS], [self._sums], self.device)
-        launch(
-            rest_blend.blend, count,
-            [0, self._sums, film, f_picture, self.width, self.height, WINDOW_RADIUS, int(transparent)],
-            [self._picture, self.weight], self.device)
+        color, coarser = self._colors
+        launch(rest_blend.measure_variance, count, [0, film, f_picture], [self._variance], self.device)
+        launch(rest_blend.start_residual, count,
+               [0, film, f_picture, self._variance, self._normals, self.width, self.height],
+               [color, self._trust, self._guide, self._kept], self.device)
+        for band in range(BANDS):
+            residual = rest_blend.Residual()
+            residual.color, residual.guide = color, self._guide
+            residual.width, residual.height = self.width, self.height
+            launch(rest_blend.split_band, count, [0, residual, film, self._trust, 1 << band],
+                   [coarser, self._ratio], self.device)
+            launch(rest_blend.take_noise, count, [0, residual, coarser, self._ratio, film, f_picture],
+                   [self._kept, self._share if band else self.weight], self.device)
+            color, coarser = coarser, color
+        launch(rest_blend.finish, count, [0, film, f_picture, self._kept, self.weight, int(transparent)],
+               [self._picture], self.device)
         return self._picture
+
+    def scale_light(self, f_picture: wp.array, light: wp.array) -> wp.array:
+        """Return a lobe's direct or indirect light, vec3 [h * w], as the newest picture has it instead of F."""
+        scaled = wp.empty_like(light)
+        launch(rest_blend.scale_light, len(light), [0, f_picture, self._picture, light], [scaled], self.device)
+        return scaled
 
     def show_weight(self) -> wp.array:
         """Return the last blend's weights as a picture on the device: vec4 [h * w]."""

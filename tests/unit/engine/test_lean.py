@@ -19,7 +19,8 @@ from tests.gbuffer_frames import GBufferFrames
 from tests.unit.engine.test_radiance_cache import Rig
 
 PLAIN = {"roughness": 0.4, "ior": 1.45, "specular_level": 0.5, "specular_tint": 1.0, "multiscatter": True}
-LEAN_BITS = int(types.MATERIAL_LEAN | types.MATERIAL_LEAN_FLAT | types.MATERIAL_LEAN_TRANSPARENCY)
+LEAN_BITS = int(
+    types.MATERIAL_LEAN | types.MATERIAL_LEAN_FLAT | types.MATERIAL_LEAN_TRANSPARENCY | types.MATERIAL_PLAIN)
 
 
 def textured(transparent: bool = False) -> MaterialData:
@@ -129,7 +130,7 @@ def test_gbuffers_agree(layers):
     if not layers:
         materials.pop("leaf")
     frames = [GBufferFrames(row_of_balls(materials), (56, 20)) for _ in range(2)]
-    assert frames[0].scene.material_table.lean == LeanPrograms(False, False, True)
+    assert frames[0].scene.material_table.lean == LeanPrograms(False, False, True, False)
     use_full_machine(frames[1].scene)
     lean = frames[0].gbuffer_pass
     lean.record = functools.partial(lean.record, lean_layers=True)

@@ -88,6 +88,23 @@ def test_moving_object_is_not_recorded_anew():
     assert np.abs(made.read()[..., :3] - still.read()[..., :3]).mean() < 0.02 * still.read()[..., :3].mean()
 
 
+def test_rebuilt_structures_are_recorded_anew():
+    """Record anew when the flattened triangles get a structure of their own, and draw what is there then."""
+    made = session()
+    made.step(4)
+    before, address = [each for each in graphs_of(made) if each], made._scene.structures.opaque.wide.nodes.ptr
+    grown = room()
+    grown.meshes["box"] = scenes.sphere(0.3, 24)
+    made.update(SceneDelta(meshes=grown.meshes, instances=replace(
+        grown.instances, object_keys=["floor", "ball"])))
+    assert made._scene.structures.opaque.wide.nodes.ptr != address
+    made.step(64)
+    assert before and not any(now is old for now in graphs_of(made) for old in before)
+    fresh = session(delta=grown)
+    fresh.step(64)
+    assert np.abs(made.read()[..., :3] - fresh.read()[..., :3]).mean() < 0.02 * fresh.read()[..., :3].mean()
+
+
 def test_frames_are_the_same_from_run_to_run():
     """Render the same frames twice and get the same bits."""
     pictures = []
@@ -107,8 +124,8 @@ def test_rest_goes_over_to_path_tracing():
     filtered = made.read()
     made.step(1)
     assert made._realtime.reference.samples_done == 1
-    # A sample weighs next to nothing beside the filtered picture.
-    assert np.abs(made.read() - filtered)[..., :3].mean() < 0.02 * filtered[..., :3].mean()
+    # A sample says nothing yet.
+    np.testing.assert_array_equal(made.read(), filtered)
     made.step(1015)
     truth = scenes.render(room(), camera(), SIZE, 1024)
     error = np.abs(made.read() - truth)[..., :3].mean() / truth[..., :3].mean()
@@ -118,6 +135,21 @@ def test_rest_goes_over_to_path_tracing():
     assert made.samples_done == 0
     made.step(1)
     assert made._realtime.reference.samples_done == 0
+
+
+def test_frames_and_samples_take_turns():
+    """Start to trace paths when light has spread, in turns with frames up to their number, in steps of any size."""
+    for step in (1, 5, 64):
+        made = session(replace(REALTIME, denoiser=DenoiserSettings(rest_frames=32)))
+        while made.samples_done < 16:
+            made.step(min(step, 16 - made.samples_done))
+        assert made._realtime.frames == 16
+        while made.samples_done < 50:
+            made.step(min(step, 50 - made.samples_done))
+            ahead = made._realtime.frames - 16 - made._realtime.reference.samples_done
+            assert 0 <= ahead <= 8 or made._realtime.frames == 32
+        made.step(50)
+        assert (made._realtime.frames, made._realtime.reference.samples_done) == (32, 100 - 32)
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from burnish.kernels.packed_halves import unpack_halves
 from burnish.kernels.packing import rgb
 from burnish.kernels.reflection_rays import place_of_frame, sequence_index
 from burnish.kernels.reflection_types import ReflectionSamples
+from burnish.kernels.types import MATERIAL_LEAN, MATERIAL_PLAIN
 
 from tests import scenes
 from tests.glossy_scenes import glass, glossy, metal, panel
@@ -287,3 +288,34 @@ def test_chains_end_alike_in_one_launch(monkeypatch):
     assert few == 1 and many > 3
     for a, b in zip(one, other, strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)
+
+
+def glass_and_mirror(roughness):
+    """Make a block of glass before a mirror, with a panel that shines, over a floor."""
+    meshes = {"floor": slab((-2, -2, -0.1), (2, 2, 0)), "glass": slab((-0.6, 0, 0), (0.6, 0.3, 1.2)),
+              "mirror": slab((-1, 1.5, 0), (1, 1.6, 2)), "panel": slab((0.2, 0.8, 0.2), (0.5, 0.9, 0.8))}
+    materials = MATERIALS | {
+        "glass": glass(roughness), "mirror": metal(roughness), "panel": panel((1.0, 0.8, 0.5), 5.0)}
+    return scenes.delta(
+        meshes, [(name, np.eye(4), "grey" if name == "floor" else name) for name in meshes], materials, background=0.5)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.25])
+def test_both_machines_follow_rays_alike(roughness):
+    """Follow rays over mirrors and through glass with the lean machine, with the full one, and with both in turns."""
+    found = []
+    for full in (slice(0), slice(None), slice(0, None, 2)):
+        samples = Samples(glass_and_mirror(roughness), look_at((-0.3, -1.2, 1.0), (0.1, 1.5, 0.5), SIZE, 1.0))
+        table = samples.session._scene.material_table
+        assert table.lean.plain and not table.lean.surface
+        records = table._materials.numpy().copy()
+        records["flags"][full] &= ~int(MATERIAL_LEAN | MATERIAL_PLAIN)
+        table._materials.assign(records)
+        table.lean = dataclasses.replace(table.lean, plain=full == slice(0))
+        samples.frame()
+        found.append([samples.radiance(which) for which in ("reflections", "refraction")])
+    for other in found[1:]:
+        for one, two in zip(found[0], other, strict=True):
+            assert (one[0] > 0.0).mean() > 0.1
+            for a, b in zip(one, two, strict=True):
+                assert np.isclose(a, b, rtol=5e-3, atol=1e-3).mean() > 0.99

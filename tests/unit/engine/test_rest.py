@@ -89,13 +89,30 @@ def test_limit_is_the_path_traced_picture(device):
         assert (weight == 1.0).all() and (picture[:, :3] == expected).all()
 
 
-def test_share_grows_with_the_samples(device):
-    """Go over from one picture to the other steadily, also for an unbiased filtered picture."""
-    color, shares = truth(), []
-    for m in (1, 4, 16, 64, 256, 1024, 4096):
-        _, weight = blend_of(device, Samples(device, color, m, 1.0).buffers, opaque(color * 1.01))
-        shares.append(weight.mean())
-    assert shares[0] < 0.01 and shares[-1] > 0.3 and (np.diff(shares) > 0.0).all()
+def test_error_falls_with_the_samples(device):
+    """Come nearer to the truth steadily, whether the filtered picture lacks detail, light, or nothing."""
+    color = truth()
+    y, x = np.mgrid[0:H, 0:W]
+    stripes = np.where(x % 8 < 4, 1.1, 0.9).reshape(-1, 1)
+    for filtered in (color * stripes, color * 0.8, color):
+        biased, before = float(np.abs(filtered / color - 1.0).mean()), 1.0
+        for m in (16, 256, 4096):
+            samples = Samples(device, color, m, 1.0)
+            picture, _ = blend_of(device, samples.buffers, opaque(filtered))
+            noisy = float(np.abs(samples.mean / color - 1.0).mean())
+            error = float(np.abs(picture[:, :3] / color - 1.0).mean())
+            print(f"m {m}: filtered {biased:.4f}, traced {noisy:.4f}, both {error:.4f}")
+            assert error < min(before, noisy, max(0.8 * biased, 0.012))
+            before = error
+
+
+def test_light_that_is_missing_comes_with_few_samples(device):
+    """Mend a filtered picture that is 20 % too dark with 16 samples of twice its light in noise."""
+    color = truth()
+    picture, _ = blend_of(device, Samples(device, color, 16, 4.0).buffers, opaque(0.8 * color))
+    ratio = picture[:, :3] / color
+    assert abs(ratio.mean() - 1.0) < 0.01
+    assert ratio.std() < 0.1
 
 
 def test_one_firefly_stays_out(device):
@@ -112,7 +129,7 @@ def test_one_firefly_stays_out(device):
     after, weight = blend_of(device, samples.buffers, opaque(color))
     assert np.abs(after[bad, :3] / color[bad] - 1.0).max() < 0.01
     others = np.arange(len(color)) != bad
-    assert np.abs(after[others, :3] / before[others, :3] - 1.0).max() < 0.02
+    assert np.abs(after[others, :3] / before[others, :3] - 1.0).max() < 0.03
     assert weight[bad] < 1e-3
 
 

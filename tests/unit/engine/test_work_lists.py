@@ -12,6 +12,7 @@ from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
+from burnish.engine.passes.reference import ANY_RAYS, FLAT_RAYS
 from burnish.engine.shadow_rays import make_options, make_queue
 from burnish.engine.structures import is_flat
 from burnish.engine.work_list import LISTED_THREADS, make_work_list
@@ -176,6 +177,19 @@ def test_flat_rays_find_the_same(scene):
         wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
     assert_same(values(both, LIT), values(flat, LIT))
     assert (both.shadow_distance.numpy() == 0).mean() > 0.3
+
+
+def test_flat_paths_find_the_same(scene):
+    """Trace paths in a flat scene with the kernels that know no second level as with those that do."""
+    device, queue, options = scene.device, make_queue(COUNT, scene.device), make_options(filtered=True)
+    rays, shadows = [scene.scene, queue], [scene.scene, options, 1, queue]
+    both, flat = make_paths(device), make_paths(device)
+    for kernels, paths in ((ANY_RAYS, both), (FLAT_RAYS, flat)):
+        for kernel, inputs in zip(kernels, (rays, rays, shadows, shadows), strict=True):
+            wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
+    assert 0.1 < (both.hit.numpy()[both.state.numpy() >= 0, 0] >= 0).mean() < 0.9
+    assert_same(values(both, WRITTEN), values(flat, WRITTEN))
+    assert_same(values(both, LIT), values(flat, LIT))
 
 
 def test_lists_hold_all_on_the_processor():

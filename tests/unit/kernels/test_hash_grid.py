@@ -290,6 +290,7 @@ def purge(grid, views, row, frames, lifetime, device):
     for name, size, dtype in (("age", 1, int), ("balance", 576, wp.int64), ("factors", 2, wp.vec3),
                               ("counters", 512, int)):
         setattr(control, name, wp.zeros(size, dtype=dtype, device=device))
+    control.live = grid.live
     capacity = len(grid.keys)
     for _ in range(frames):
         views.advance(row, moved=False, lit=False, exposure=1.0, transparent=False, filter_quantiles=None)

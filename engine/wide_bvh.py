@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds the 8-wide BVH of kernels/wide_bvh.py: a binary tree by clustering, then collapsed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import warp as wp
+
+from ..kernels import cluster_tree
+from ..kernels import wide_bvh_build as kernels
+from ..kernels.wide_bvh import MAX_DEPTH, NODE_WORDS, TRIANGLE_WORDS
+from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
+from .device import launch, run_bands, thread_count
+from .errors import InvalidScene
+
+__all__ = ["WideBvh", "build_wide"]
+
+RADIUS = 16
+"""Places along the curve to each side among which a cluster looks for its neighbor"""
+
+SLOW = 16
+"""When less than one in so many clusters finds a partner, neighbors on the curve are merged next, as they come"""
+
+MAX_TRIANGLES = (2**31 - 1) // 18
+"""Of a binary tree's nodes, twice as many, each has nine values in an array that is indexed by int32"""
+
+BAND = 4096
+"""Elements for which another thread is worth its start"""
+
+
+@dataclass
+class WideBvh:
+    """An 8-wide BVH over N triangles, on one device."""
+
+    nodes: wp.array
+    """uint32 [20 * nodes], level by level"""
+    triangles: wp.array
+    """uint32 [12 * N]"""
+    levels: list[tuple[int, int]]
+    """First node and count of each"""
+
+    def take_out(self, faces: wp.array, leaving: wp.array) -> None:
+        """Take out the triangles of instances, in place, and shrink the boxes above them.
+
+        Args:
+            faces: vec2i [N], (instance, triangle) of each face.
+            leaving: int, 1 for every instance that leaves.
+        """
+        device = self.nodes.device.alias
+        launch(mark_gone, len(self.triangles) // TRIANGLE_WORDS, [faces, leaving], [self.triangles], device)
+        lower, upper = (wp.empty(len(self.nodes) // NODE_WORDS, dtype=wp.vec3, device=device) for _ in range(2))
+        for first, count in reversed(self.levels):
+            launch(refit_nodes, count, [first, self.triangles], [self.nodes, lower, upper], device)
+
+
+@dataclass
+class _Binary:
+    """A binary tree, its root the last node: children, or (-1 - item, 1) for leaves, and boxes."""
+
+    children: wp.array
+    lower: wp.array
+    upper: wp.array
+    batches: list[tuple[int, int]]
+    """First node and count, children in batches before those of their parents"""
+
+
+def build_wide(points: wp.array, indices: wp.array) -> WideBvh:
+    """Build the structure over triangles.
+
+    Args:
+        points: vec3 [V]; triangles that are not finite are never hit.
+        indices: int [3 * N], N > 0.
+
+    Raises:
+        InvalidScene: There are too many triangles.
+    """
+    device, count = points.device.alias, len(indices) // 3
+    if count > MAX_TRIANGLES:
+        raise InvalidScene(
+            f"The scene has {count:,} triangles outside of instances, more than the {MAX_TRIANGLES:,} that Burnish can "
+            "keep; let objects share their meshes, or hide some")
+    lower, upper = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
+    launch(kernels.triangle_bounds, count, [points, indices], [lower, upper], device)
+    nodes, items, levels = _collapse(_cluster(lower, upper, RADIUS), count)
+    if len(levels) > MAX_DEPTH:
+        # Sizes that grow from triangle to triangle may make a chain. Pairs along the curve make a tree of at most as
+        # many levels as the count has bits.
+        nodes, items, levels = _collapse(_cluster(lower, upper, 0), count)
+    triangles = wp.empty(TRIANGLE_WORDS * count, dtype=wp.uint32, device=device)
+    launch(kernels.write_triangles, count, [points, indices, items], [triangles], device)
+    return WideBvh(nodes, triangles, levels)
+
+
+def _launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
+    """Launch a kernel over elements from `first` on, on the CPU in bands on all cores."""
+    device = outputs[0].device
+    size = max(count // thread_count() + 1, BAND) if device.is_cpu else count
+    run_bands([
+        partial(launch, kernel, min(size, first + count - start), [start, *inputs], outputs, device.alias)
+        for start in range(first, first + count, size)])
+
+
+def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int) -> _Binary:
+    """Return the tree that clustering makes over boxes."""
+    device, count = item_lower.device.alias, len(item_lower)
+    total = 2 * count - 1
+    low = item_lower.numpy().min(0)
+    size = float(np.maximum((item_upper.numpy().max(0) - low).max(), 1e-30))
+    lower, upper = (wp.empty(total, dtype=wp.vec3, device=device) for _ in range(2))
+    wp.copy(lower, item_lower)
+    wp.copy(upper, item_upper)
+    children = wp.empty(total, dtype=wp.vec2i, device=device)
+    # Sorting needs twice the room.
+    codes = wp.empty(2 * count, dtype=wp.int64, device=device)
+    clusters = wp.empty(2 * count, dtype=int, device=device)
+    launch(cluster_tree.start_clusters, count, [
+        wp.vec3(*low.tolist()), float(cluster_tree.CURVE_CELLS) / size, lower, upper],
+        [codes, clusters, children], device)
+    wp.utils.radix_sort_pairs(codes, clusters, count)
+    neighbor, following, kept, merged = (wp.empty(count, dtype=int, device=device) for _ in range(4))
+    batches, first, reach = [(0, count)], count, radius
+    while count > 1:
+        _launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, lower, upper], [neighbor])
+        launch(cluster_tree.mark_merged, count, [neighbor], [kept, merged], device)
+        wp.utils.array_scan(kept[:count], kept[:count])
+        wp.utils.array_scan(merged[:count], merged[:count])
+        launch(cluster_tree.merge_clusters, count, [clusters, neighbor, kept, merged, first],
+               [following, children, lower, upper], device)
+        made = int(merged[count - 1:count].numpy()[0])
+        batches.append((first, made))
+        reach = 0 if made * SLOW < count else radius
+        clusters, following, count, first = following, clusters, count - made, first + made
+    return _Binary(children, lower, upper, batches)
+
+
+def _collapse(tree: _Binary, count: int) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
+    """Return nodes, items in the order of the leaves, and the levels."""
+    children, lower, upper = tree.children, tree.lower, tree.upper
+    device, total = children.device.alias, len(children)
+    cost = wp.empty(7 * total, dtype=float, device=device)
+    choice = wp.zeros(9 * total, dtype=wp.uint8, device=device)
+    counts = wp.empty(total, dtype=int, device=device)
+    for first, size in tree.batches:
+        _launch_bands(kernels.plan_nodes, first, size, [children, lower, upper], [cost, choice, counts])
+
+    # Every wide node but the root takes the place of a binary one that isn't a leaf.
+    words = wp.zeros(NODE_WORDS * count, dtype=wp.uint32, device=device)
+    items = wp.empty(count, dtype=int, device=device)
+    roots = wp.array([total - 1], dtype=int, device=device)
+    first_triangle, levels = 0, []
+    while len(roots):
+        size = len(roots)
+        first_node = sum(levels[-1]) if levels else 0
+        slots = wp.empty(8 * size, dtype=int, device=device)
+        inner, triangles, inner_sums, triangle_sums = (wp.empty(size, dtype=int, device=device) for _ in range(4))
+        launch(kernels.open_nodes, size, [roots, children, choice, counts, lower, upper],
+               [slots, inner, triangles], device)
+        inner_total, triangle_total = int(inner.numpy().sum()), int(triangles.numpy().sum())
+        wp.utils.array_scan(inner, inner_sums, inclusive=False)
+        wp.utils.array_scan(triangles, triangle_sums, inclusive=False)
+        following = wp.empty(inner_total, dtype=int, device=device)
+        launch(kernels.write_nodes, size, [
+            roots, slots, inner_sums, triangle_sums, first_node, first_node + size, first_triangle, children, choice,
+            counts, lower, upper], [words, following, items], device)
+        levels.append((first_node, size))
+        first_triangle += triangle_total
+        roots = following
+    return wp.clone(words[:NODE_WORDS * sum(levels[-1])]), items, levels

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays through an 8-wide BVH with quantized child boxes: closest hit and any hit.
+
+The structure and its traversal are those of Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs
+Through Compressed Wide BVHs" (HPG 2017): nodes of 80 bytes, children in the order of octants so that a ray takes them
+front to back without sorting, and one stack entry for all the children of a node that are left. Differences: child
+boxes are widened by a share of a quantum, so that the rounding of float32 can't lose a hit, and triangles are tested
+by Woop, Benthin and Wald's "Watertight Ray/Triangle Intersection" (JCGT 2013) on vertices kept in the leaves' order.
+engine/wide_bvh.py builds it.
+
+A node is 20 words, read as five times four:
+
+    0..2   origin of the grid (float32)
+    3      biased exponents of the grid's spacing along x, y, z (a byte each); bit s of the top byte: slot s is a node
+    4      first child node; the others follow in the order of slots
+    5      first triangle
+    6..7   a byte per slot: 0 empty; node: 0x20 + 24 + slot; leaf: ones for 1 to 3 triangles in the top three bits,
+           below them the first of them counted from word 5
+    8..19  bytes per slot: low x, low y, low z, high x, high y, high z in quanta
+
+A triangle is 12 words: its three vertices, each with a fourth word, the first of which is the face. The code is
+native, since Warp loads arrays of vectors component by component: five loads a node instead of twenty.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+NODE_WORDS = wp.constant(20)
+TRIANGLE_WORDS = wp.constant(12)
+# Children of a node; triangles of a leaf.
+WIDTH = wp.constant(8)
+LEAF_SIZE = wp.constant(3)
+# Levels of nodes that a tree may have. Each needs at most one entry of a ray's stack.
+MAX_DEPTH = 32
+# Entries for leaves that wait.
+WAITING = 16
+
+_TRAVERSE = """
+    // Loads of four words, bit patterns, bit counting.
+#ifdef __CUDA_ARCH__
+    using Row = uint4;
+    auto load = [](const wp::uint32* words, unsigned int row) -> Row {
+        return __ldg(reinterpret_cast<const uint4*>(words) + row);
+    };
+    auto as_float = [](unsigned int bits) -> float { return __uint_as_float(bits); };
+    auto highest_bit = [](unsigned int bits) -> int { return 31 - __clz((int)bits); };
+    auto bit_count = [](unsigned int bits) -> int { return __popc((int)bits); };
+    auto least = [](float a, float b) -> float { return fminf(a, b); };
+    auto most = [](float a, float b) -> float { return fmaxf(a, b); };
+#else
+    struct Row { unsigned int x, y, z, w; };
+    auto load = [](const wp::uint32* words, unsigned int row) -> Row {
+        const wp::uint32* p = words + 4 * (size_t)row;
+        return Row{p[0], p[1], p[2], p[3]};
+    };
+    auto as_float = [](unsigned int bits) -> float { union { unsigned int u; float f; } c; c.u = bits; return c.f; };
+    auto highest_bit = [](unsigned int bits) -> int { return 31 - __builtin_clz(bits); };
+    auto bit_count = [](unsigned int bits) -> int { return __builtin_popcount(bits); };
+    auto least = [](float a, float b) -> float { return a < b ? a : b; };
+    auto most = [](float a, float b) -> float { return a > b ? a : b; };
+#endif
+    const wp::uint32* node_words = nodes.data;
+    const wp::uint32* triangle_words = triangles.data;
+    const float ox = origin[0], oy = origin[1], oz = origin[2];
+    const float dx = direction[0], dy = direction[1], dz = direction[2];
+    // A ray along a plane gets a slope so small that its parameters there are huge but finite.
+    const float ix = 1.0f / (wp::abs(dx) > 1.0e-20f ? dx : (dx < 0.0f ? -1.0e-20f : 1.0e-20f));
+    const float iy = 1.0f / (wp::abs(dy) > 1.0e-20f ? dy : (dy < 0.0f ? -1.0e-20f : 1.0e-20f));
+    const float iz = 1.0f / (wp::abs(dz) > 1.0e-20f ? dz : (dz < 0.0f ? -1.0e-20f : 1.0e-20f));
+    const bool nx = dx < 0.0f, ny = dy < 0.0f, nz = dz < 0.0f;
+    const unsigned int inverse_octant = 7u - ((nx ? 4u : 0u) | (ny ? 2u : 0u) | (nz ? 1u : 0u));
+    // Shear that maps the ray to the axis along which it is longest.
+    const int axis = wp::abs(dx) > wp::abs(dy) ? (wp::abs(dx) > wp::abs(dz) ? 0 : 2)
+        : (wp::abs(dy) > wp::abs(dz) ? 1 : 2);
+    auto turned = [&](float x, float y, float z, float& a, float& b, float& c) {
+        a = axis == 0 ? y : (axis == 1 ? z : x);
+        b = axis == 0 ? z : (axis == 1 ? x : y);
+        c = axis == 0 ? x : (axis == 1 ? y : z);
+    };
+    float sx, sy, sz;
+    turned(dx, dy, dz, sx, sy, sz);
+    sz = 1.0f / sz;
+    sx = sx * sz;
+    sy = sy * sz;
+    // Differences of products by Kahan: their sign is exact, so two triangles agree about the edge they share.
+    auto product_difference = [](float a, float b, float c, float d) -> float {
+        const float cd = c * d;
+        return fmaf(a, b, -cd) + fmaf(-c, d, cd);
+    };
+    float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
+    int best_face = -1;
+    unsigned long long stack[STACK_SIZE];
+    int depth = 0;
+    unsigned int group_base = 0u, group = 0x80000000u;
+    while (true) {
+        unsigned int triangle_base, leaves;
+        if (group > 0x00ffffffu) {
+            const int bit = highest_bit(group);
+            const unsigned int rest = group & ~(1u << bit);
+            const unsigned int slot = (unsigned int)(bit - 24) ^ inverse_octant;
+            const unsigned int node = group_base + bit_count(group & ((1u << slot) - 1u));
+            if (rest > 0x00ffffffu)
+                stack[depth++] = ((unsigned long long)group_base << 32) | rest;
+            const Row n0 = load(node_words, 5u * node);
+            const Row n1 = load(node_words, 5u * node + 1u);
+            const Row n2 = load(node_words, 5u * node + 2u);
+            const Row n3 = load(node_words, 5u * node + 3u);
+            const Row n4 = load(node_words, 5u * node + 4u);
+            const float ax = as_float((n0.w & 0xffu) << 23) * ix;
+            const float ay = as_float((n0.w & 0xff00u) << 15) * iy;
+            const float az = as_float((n0.w & 0xff0000u) << 7) * iz;
+            const float bx = (as_float(n0.x) - ox) * ix;
+            const float by = (as_float(n0.y) - oy) * iy;
+            const float bz = (as_float(n0.z) - oz) * iz;
+            unsigned int hits = 0u;
+BYTE_SETUP
+            auto test_four = [&](unsigned int meta, unsigned int low_x, unsigned int low_y, unsigned int low_z,
+                                 unsigned int high_x, unsigned int high_y, unsigned int high_z) {
+                const unsigned int inner = ((meta & (meta << 1)) & 0x10101010u) >> 4;
+                const unsigned int shift4 = (meta ^ ((inverse_octant * 0x01010101u) & (inner * 255u))) & 0x1f1f1f1fu;
+                const unsigned int bits4 = (meta >> 5) & 0x07070707u;
+                const unsigned int near_x = nx ? high_x : low_x, far_x = nx ? low_x : high_x;
+                const unsigned int near_y = ny ? high_y : low_y, far_y = ny ? low_y : high_y;
+                const unsigned int near_z = nz ? high_z : low_z, far_z = nz ? low_z : high_z;
+                #pragma unroll
+                for (int k = 0; k < 4; ++k) {
+                    const float t0 = most(most(fmaf(byte_of(near_x, k), gx, hx), fmaf(byte_of(near_y, k), gy, hy)),
+                                           most(fmaf(byte_of(near_z, k), gz, hz), 0.0f));
+                    const float t1 = least(least(fmaf(byte_of(far_x, k), gx, hx), fmaf(byte_of(far_y, k), gy, hy)),
+                                           least(fmaf(byte_of(far_z, k), gz, hz), best_t));
+                    if (t0 <= t1 * 1.0000005f)
+                        hits |= ((bits4 >> (8 * k)) & 0xffu) << ((shift4 >> (8 * k)) & 0xffu);
+                }
+            };
+            test_four(n1.z, n2.x, n2.z, n3.x, n3.z, n4.x, n4.z);
+            test_four(n1.w, n2.y, n2.w, n3.y, n3.w, n4.y, n4.w);
+            group_base = n1.x;
+            group = (hits & 0xff000000u) | (n0.w >> 24);
+            triangle_base = n1.y;
+            leaves = hits & 0x00ffffffu;
+        } else {
+            triangle_base = group_base;
+            leaves = group;
+            group = 0u;
+        }
+        while (leaves != 0u) {
+POSTPONE            const int bit = highest_bit(leaves);
+            leaves &= ~(1u << bit);
+            const unsigned int row = 3u * (triangle_base + bit);
+            const Row r0 = load(triangle_words, row);
+            const Row r1 = load(triangle_words, row + 1u);
+            const Row r2 = load(triangle_words, row + 2u);
+            float px, py, pz, qx, qy, qz, rx, ry, rz;
+            turned(as_float(r0.x) - ox, as_float(r0.y) - oy, as_float(r0.z) - oz, px, py, pz);
+            turned(as_float(r1.x) - ox, as_float(r1.y) - oy, as_float(r1.z) - oz, qx, qy, qz);
+            turned(as_float(r2.x) - ox, as_float(r2.y) - oy, as_float(r2.z) - oz, rx, ry, rz);
+            px = fmaf(-sx, pz, px); py = fmaf(-sy, pz, py);
+            qx = fmaf(-sx, qz, qx); qy = fmaf(-sy, qz, qy);
+            rx = fmaf(-sx, rz, rx); ry = fmaf(-sy, rz, ry);
+            const float u = product_difference(rx, qy, ry, qx);
+            const float v = product_difference(px, ry, py, rx);
+            const float w = product_difference(qx, py, qy, px);
+            const bool outside = least(u, least(v, w)) < 0.0f && most(u, most(v, w)) > 0.0f;
+            const float determinant = u + v + w;
+            if (!outside && determinant != 0.0f) {
+                const float scale = 1.0f / determinant;
+                const float t = sz * (u * pz + v * qz + w * rz) * scale;
+                if (t >= 0.0f && (t < best_t || (t == best_t && (int)r0.w < best_face))) {
+                    FOUND
+                }
+            }
+        }
+        if (group <= 0x00ffffffu) {
+            if (depth == 0)
+                break;
+            const unsigned long long entry = stack[--depth];
+            group_base = (unsigned int)(entry >> 32);
+            group = (unsigned int)entry;
+        }
+    }
+"""
+
+# Bytes as the mantissa of a number in [1, 1.008): permutations run at a higher rate than conversions. The rounding of
+# the larger slope and offset errs by 0.002 quanta.
+_BYTES = """
+#ifdef __CUDA_ARCH__
+            const float gx = 32768.0f * ax, gy = 32768.0f * ay, gz = 32768.0f * az;
+            const float hx = bx - gx, hy = by - gy, hz = bz - gz;
+            auto byte_of = [](unsigned int word, int k) -> float {
+                return __uint_as_float(__byte_perm(word, 0x3f800000u, 0x7604u | (unsigned int)(k << 4)));
+            };
+#else
+            const float gx = ax, gy = ay, gz = az, hx = bx, hy = by, hz = bz;
+            auto byte_of = [](unsigned int word, int k) -> float { return (float)((word >> (8 * k)) & 0xffu); };
+#endif
+"""
+# Leaves wait on the stack while few of the warp's rays have one.
+_POSTPONE = """
+#ifdef __CUDA_ARCH__
+            if (group > 0x00ffffffu && depth < WAITING && __popc(__activemask()) < 8) {
+                stack[depth++] = ((unsigned long long)triangle_base << 32) | leaves;
+                break;
+            }
+#endif
+"""
+_CLOSEST = """best_t = t;
+                    best_u = u * scale;
+                    best_v = v * scale;
+                    best_face = (int)r0.w;"""
+_RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_face))"
+
+
+def _source(found: str, result: str, postpone: str, waiting: int) -> str:
+    """Return the native source of a query."""
+    text = _TRAVERSE.replace("BYTE_SETUP\n", _BYTES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
+    text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
+    return text.replace("FOUND", found) + f"    return {result};\n"
+
+
+@wp.func_native(_source(_CLOSEST, _RESULT, _POSTPONE, WAITING))
+def closest_wide(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec4:
+    """Return t, the weights of the first and second vertex, and the face's bits; t_max and -1 without a hit.
+
+    Of triangles at the same distance the one of the lowest face is hit.
+    """
+    ...
+
+
+@wp.func_native(_source("return true;", "false", "", 0))
+def any_wide(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> bool:
+    """Return whether any triangle lies closer than t_max."""
+    ...

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels that take triangles out of an 8-wide BVH (wide_bvh.py) and shrink its boxes to what is left."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .wide_bvh import NODE_WORDS, TRIANGLE_WORDS
+from .wide_bvh_build import Grid, add_box, add_byte, grid_about, write_grid
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# In place of the face of a triangle that was taken out.
+GONE = wp.constant(wp.uint32(0xFFFFFFFF))
+# Corners of the box of nothing.
+NOWHERE = wp.constant(3.0e38)
+
+
+@wp.struct
+class Child:
+    """What a slot of a node holds."""
+
+    meta: wp.uint32
+    """Its byte, see wide_bvh.py; 0 where nothing is left"""
+    low: wp.vec3
+    high: wp.vec3
+
+
+@wp.kernel
+def mark_gone(
+    # In:
+    faces: wp.array[wp.vec2i],
+    leaving: wp.array[int],
+    # Out:
+    triangles_out: wp.array[wp.uint32],
+):
+    """Mark the triangles of all instances for which `leaving` is 1; `faces` holds (instance, triangle) by face."""
+    word = TRIANGLE_WORDS * wp.tid() + 3
+    face = triangles_out[word]
+    if face != GONE:
+        if leaving[faces[int(face)][0]] == 1:
+            triangles_out[word] = GONE
+
+
+@wp.func
+def corner_at(triangles: wp.array[wp.uint32], word: int) -> wp.vec3:
+    """Return a vertex."""
+    return wp.vec3(
+        wp.cast(triangles[word], float), wp.cast(triangles[word + 1], float), wp.cast(triangles[word + 2], float))
+
+
+@wp.func
+def child_in(
+    words: wp.array[wp.uint32], triangles: wp.array[wp.uint32], lower: wp.array[wp.vec3], upper: wp.array[wp.vec3],
+    base: int, meta: wp.uint32, node: int,
+) -> Child:
+    """Return a slot's child without the triangles that are gone; `node` is the child's number where it is a node."""
+    child = Child()
+    child.low = wp.vec3(NOWHERE, NOWHERE, NOWHERE)
+    child.high = -child.low
+    if (meta & wp.uint32(0x18)) == wp.uint32(0x18):
+        child.low = lower[node]
+        child.high = upper[node]
+        if child.low[0] <= child.high[0]:
+            child.meta = meta
+        return child
+    first = int(words[base + 5]) + int(meta & wp.uint32(31))
+    for k in range(3):
+        bit = wp.uint32(32 << k)
+        word = TRIANGLE_WORDS * (first + k)
+        if (meta & bit) != wp.uint32(0):
+            if triangles[word + 3] != GONE:
+                child.meta = child.meta | bit
+                for corner in range(3):
+                    point = corner_at(triangles, word + 4 * corner)
+                    child.low = wp.min(child.low, point)
+                    child.high = wp.max(child.high, point)
+    if child.meta != wp.uint32(0):
+        child.meta = child.meta | (meta & wp.uint32(31))
+    return child
+
+
+@wp.kernel
+def refit_nodes(
+    # In:
+    first: int,
+    triangles: wp.array[wp.uint32],
+    # Out:
+    words_out: wp.array[wp.uint32],
+    lower_out: wp.array[wp.vec3],
+    upper_out: wp.array[wp.vec3],
+):
+    """Write a level's nodes from number `first` on anew, those of the levels below done.
+
+    What is empty now keeps its number and, where it is a node, its bit among those that are: both count for others.
+    """
+    node = first + wp.tid()
+    base = NODE_WORDS * node
+    bits = (words_out[base + 3] >> wp.uint32(24)) << wp.uint32(24)
+    meta = wp.vec2ui(words_out[base + 6], words_out[base + 7])
+    low = wp.vec3(NOWHERE, NOWHERE, NOWHERE)
+    high = -low
+    # First the box of all, which decides the grid; then the children's boxes in it.
+    grid = Grid()
+    turn = int(0)
+    while turn < 2:
+        number = int(words_out[base + 4])
+        slot = int(0)
+        while slot < 8:
+            byte = (meta[slot // 4] >> wp.uint32(8 * (slot % 4))) & wp.uint32(255)
+            child = child_in(words_out, triangles, lower_out, upper_out, base, byte, number)
+            if child.meta != wp.uint32(0):
+                if turn == 0:
+                    low = wp.min(low, child.low)
+                    high = wp.max(high, child.high)
+                else:
+                    add_byte(words_out, base + 6, slot, child.meta)
+                    add_box(words_out, base, slot, grid, child.low, child.high)
+            if (bits & (wp.uint32(1) << wp.uint32(24 + slot))) != wp.uint32(0):
+                number = number + 1
+            slot = slot + 1
+        if turn == 0 and low[0] <= high[0]:
+            grid = grid_about(low, high)
+        if turn == 0:
+            word = int(6)
+            while word < NODE_WORDS:
+                words_out[base + word] = wp.uint32(0)
+                word = word + 1
+        turn = turn + 1
+    lower_out[node] = low
+    upper_out[node] = high
+    write_grid(words_out, base, grid, bits)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of recorded frames: branches that run side by side touch nothing that another changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+from burnish.engine.device import choose_device
+from burnish.engine.frame_graph import FrameGraph
+from burnish.engine.scene import LightKind
+from burnish.engine.session import Session
+from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
+from burnish.kernels import compaction
+from burnish.kernels.paths import ENDED
+
+from tests import scenes
+
+DEVICE = choose_device(scenes.SETTINGS.device)
+
+
+def room():
+    """Make a room with all that has passes of its own: a mirror, glass, layers, an emitter, a lamp, a world."""
+    materials = {
+        "white": scenes.material(color=0.7), "mirror": scenes.material("PRINCIPLED", metallic=1.0, roughness=0.1),
+        "glass": scenes.material("GLASS", color=1.0, roughness=0.0, ior=1.5), "leaf": scenes.transparent(0.5),
+        "light": scenes.emitter(5.0)}
+    places = [("floor", scenes.place(), "white"), ("ball", scenes.place(x=0.5, z=0.4), "mirror"),
+              ("ball", scenes.place(x=-0.5, z=0.4), "glass"), ("leaf", scenes.place(z=1.0), "leaf"),
+              ("leaf", scenes.place(x=1.0, z=1.5), "light")]
+    meshes = {"floor": scenes.quad(3.0), "ball": scenes.sphere(0.3, 8), "leaf": scenes.quad(0.2)}
+    made = scenes.delta(
+        meshes, places, materials, [scenes.lamp(LightKind.POINT, 50.0, scenes.place(1.0, 1.0, 2.0), radius=0.2)], 0.2)
+    return made
+
+
+def addresses(values):
+    """Return the memory that arrays, structs of arrays and structs in them hold: (first byte, last)."""
+    found = set()
+    for value in values:
+        if isinstance(value, wp.array):
+            if value.ptr and value.capacity:
+                found.add((value.ptr, value.ptr + value.size * wp.types.type_size_in_bytes(value.dtype)))
+        elif hasattr(value, "_cls"):
+            found |= addresses([getattr(value, name) for name in value._cls.vars])
+        elif isinstance(value, list | tuple):
+            found |= addresses(value)
+    return found
+
+
+CELL_KERNELS = {
+    "insert_vertices", "accumulate_light", "choose_reflection_lights", "start_bounces", "gather_bounces",
+    "follow_near_hits"}
+"""They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there"""
+
+
+def overlap(a, b):
+    """Return whether two sets of memory have a byte in common."""
+    return any(low < end and start < high for low, high in a for start, end in b)
+
+
+def races(graph, cells=frozenset()):
+    """Return the pairs of kernels of which one changes what the other touches though neither waits for the other.
+
+    Also returns how many pairs may run side by side. `cells`: memory that CELL_KERNELS may share.
+    """
+    before = {"": set()}
+    done, found, beside = [], [], 0
+    for step in graph._steps:
+        if step.after is not None:
+            before[step.branch] = before.get(step.branch, set()) | before[step.after]
+            continue
+        reads, writes = addresses(step.reads), addresses(step.writes)
+        for index, (kernel, other_reads, other_writes) in enumerate(done):
+            if index not in before[step.branch]:
+                beside += 1
+                shared = cells if {kernel, step.kernel} <= CELL_KERNELS else frozenset()
+                if overlap(writes - shared, other_reads | other_writes) or overlap(reads - shared, other_writes):
+                    found.append((kernel, step.kernel))
+        before[step.branch].add(len(done))
+        done.append((step.kernel, reads, writes))
+    return found, beside
+
+
+def test_branches_do_not_race():
+    """Record frames in motion and at rest with every pass: whatever runs side by side is independent."""
+    settings = replace(
+        scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME), cache=CacheSettings(capacity=14))
+    made = Session(settings)
+    made.update(room())
+    made.configure(settings, scenes.camera_above(3.0, 1.5, orthographic=False), 24, 16)
+    made.step(4)
+    graphs = made._realtime.pipeline._graphs
+    assert {resting for _, resting in graphs} == {False, True}
+    cells = frozenset(addresses([made._realtime.pipeline.cache.grid]))
+    for graph, *_ in graphs.values():
+        sections = {step.section for step in graph._steps}
+        assert {"Reflection denoising", "Refraction denoising", "Direct denoising", "Cache cells"} <= sections
+        found, beside = races(graph, cells)
+        assert not found
+        assert beside > 500
+
+
+def test_races_are_found():
+    """Change an array on two branches, with and without waiting in between."""
+    state, queue = wp.zeros(8, dtype=int, device=DEVICE), wp.zeros(8, dtype=int, device=DEVICE)
+
+    def record(join):
+        graph = FrameGraph(DEVICE)
+        with graph.branch("a"):
+            graph.clear(state)
+        if join:
+            graph.join("a")
+        with graph.branch("b"):
+            graph.launch(compaction.append_living, 8, [state, queue], [queue, queue], banded=False)
+        graph.join("a", "b")
+        graph.clear(state)
+        return graph
+
+    assert races(record(join=False))[0] == [("clear", "append_living")]
+    assert races(record(join=True))[0] == []
+
+
+def test_branches_replay_in_order():
+    """Change an array between two branches that read it: each sees its own version, in every replay."""
+    source = wp.array(np.arange(8, dtype=np.int32), dtype=int, device=DEVICE)
+    state, queue, more = (wp.zeros(8, dtype=int, device=DEVICE) for _ in range(3))
+    counts = [wp.zeros(1, dtype=int, device=DEVICE) for _ in range(2)]
+    graph = FrameGraph(DEVICE)
+    graph.clear(state, *counts)
+    with graph.branch("a"):
+        graph.launch(compaction.append_living, 8, [state, source], [queue, counts[0]], banded=False)
+    graph.join("a")
+    graph.call(lambda: state.fill_(int(ENDED)))
+    with graph.branch("b"):
+        graph.launch(compaction.append_living, 8, [state, source], [more, counts[1]], banded=False)
+    for timed in (False, True, False):
+        graph.replay(timed)
+        assert [int(count.numpy()[0]) for count in counts] == [8, 0]
+        assert sorted(queue.numpy()) == list(range(8))

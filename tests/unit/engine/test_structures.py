@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What rays meet in the device scene, against every triangle tried in turn: after builds, moves and edits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.device_scene import DeviceScene
+from burnish.engine.scene import SceneDelta
+from burnish.engine.settings import PerformanceSettings
+from burnish.kernels.intersect import any_hit, closest_filtered_hit, closest_hit
+from burnish.kernels.types import Scene
+
+from tests import scenes
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+RAYS = 3000
+MATERIALS = {"grey": scenes.material(color=0.5), "clear": scenes.transparent(0.4, color=0.7)}
+
+
+@wp.kernel
+def meet(
+    # In:
+    scene: Scene,
+    origin: wp.array[wp.vec3],
+    direction: wp.array[wp.vec3],
+    t_max: float,
+    # Out:
+    t_out: wp.array2d[float],
+    found_out: wp.array2d[int],
+    weights_out: wp.array2d[wp.vec2],
+    blocked_out: wp.array[int],
+):
+    """Follow rays: row 0 against opaque triangles, row 1 against those that need a test."""
+    i = wp.tid()
+    opaque = closest_hit(scene.geometry, origin[i], direction[i], t_max)
+    layer = closest_filtered_hit(scene.geometry, origin[i], direction[i], t_max)
+    t_out[0, i] = opaque.t
+    t_out[1, i] = layer.t
+    found_out[0, i] = opaque.instance
+    found_out[1, i] = layer.instance
+    weights_out[0, i] = wp.vec2(opaque.u, opaque.v)
+    weights_out[1, i] = wp.vec2(layer.u, layer.v)
+    blocked_out[i] = int(any_hit(scene.geometry, origin[i], direction[i], t_max))
+
+
+def objects(shift: float = 0.0) -> list[tuple]:
+    """Make spheres, some sheared or mirrored, some transparent, over a plane."""
+    made = [("plane", np.eye(4), "grey")]
+    for i in range(7):
+        matrix = scenes.place(x=-1.5 + 0.5 * i + (shift if i == 3 else 0.0), y=0.3 * (i % 3 - 1), z=0.4)
+        matrix[0, 1] = 0.3
+        matrix[1, 1] = -1.0 if i % 2 else 1.0
+        made.append(("ball", matrix, "clear" if i % 3 == 0 else "grey"))
+    return made
+
+
+def meshes(rings: int = 10, radius: float = 0.3) -> dict:
+    """Make the meshes of `objects`."""
+    return {"ball": scenes.sphere(radius, rings=rings), "plane": scenes.quad(3.0)}
+
+
+def tried_in_turn(shapes: dict, placed: list[tuple], clear: bool, origin: np.ndarray, direction: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray]:
+    """Return t (inf without a hit) and the instance of the closest triangle, by Moeller and Trumbore's test."""
+    best, owner = np.full(len(origin), np.inf), np.full(len(origin), -1)
+    for number, (key, matrix, material) in enumerate(placed):
+        if MATERIALS[material].has_transparency != clear:
+            continue
+        mesh = shapes[key]
+        points = mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        for a, b, c in points[mesh.triangles]:
+            cross = np.cross(direction, c - a)
+            with np.errstate(all="ignore"):
+                scale = 1.0 / (cross @ (b - a))
+                u = ((origin - a) * cross).sum(1) * scale
+                other = np.cross(origin - a, b - a)
+                v = (direction * other).sum(1) * scale
+                t = other @ (c - a) * scale
+                closer = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t < best)
+            best, owner = np.where(closer, t, best), np.where(closer, number, owner)
+    return best, owner
+
+
+def check(made: DeviceScene, shapes: dict, placed: list[tuple]) -> None:
+    """Compare what rays meet in the device scene with what they meet when every triangle is tried."""
+    rng = np.random.default_rng(4)
+    origin = rng.uniform((-2.5, -1.5, -0.5), (2.5, 1.5, 2.0), (RAYS, 3)).astype(np.float32)
+    direction = rng.normal(size=(RAYS, 3)).astype(np.float32)
+    rays = [wp.array(v - np.float32(offset), dtype=wp.vec3, device="cpu")
+            for v, offset in ((origin, made.origin), (direction, 0.0))]
+    shapes_out = [((2, RAYS), float), ((2, RAYS), int), ((2, RAYS), wp.vec2), (RAYS, int)]
+    outputs = [wp.zeros(shape, dtype=kind, device="cpu") for shape, kind in shapes_out]
+    wp.launch(meet, RAYS, [made.scene, *rays, 1e30], outputs, device="cpu")
+    t, found, _, blocked = (output.numpy() for output in outputs)
+    for row, clear in enumerate((False, True)):
+        expected, owner = tried_in_turn(shapes, placed, clear, origin.astype(float), direction.astype(float))
+        same = found[row] == owner
+        # Rays through edges of the outline may differ.
+        assert same.mean() > 0.998, (clear, same.mean())
+        hit = same & (owner >= 0)
+        np.testing.assert_allclose(t[row][hit], expected[hit], rtol=1e-3, atol=1e-4)
+        if owner.max() >= 0:
+            assert hit.any()
+    np.testing.assert_array_equal(blocked == 1, found[0] >= 0)
+
+
+def opened(shapes: dict, placed: list[tuple]) -> DeviceScene:
+    """Put a scene on the device."""
+    made = DeviceScene("cpu")
+    made.apply(scenes.delta(shapes, placed, MATERIALS), PerformanceSettings())
+    return made
+
+
+def test_flattened_triangles_are_met() -> None:
+    """Meet opaque and transparent triangles where they are, with the vertices' weights in the right order."""
+    shapes, placed = meshes(), objects()
+    made = opened(shapes, placed)
+    assert made.structures.opaque.wide is not None and made.structures.filtered.wide is not None
+    check(made, shapes, placed)
+
+
+@pytest.mark.parametrize("instanced", [False, True])
+def test_moved_objects_are_met_where_they_are(instanced: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Move an object twice, out of the flattened triangles or among instances."""
+    monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0 if instanced else 1 << 20)
+    shapes = meshes()
+    made = DeviceScene("cpu")
+    settings = PerformanceSettings(instancing_threshold=1.0)
+    made.apply(scenes.delta(shapes, objects(), MATERIALS), settings)
+    nodes = made.structures.opaque.wide.nodes.ptr
+    for shift in (0.4, -0.3):
+        made.apply(SceneDelta(instances=scenes.instances(objects(shift))), settings)
+        check(made, shapes, objects(shift))
+    assert made.structures.opaque.wide.nodes.ptr == nodes
+
+
+def test_deformed_meshes_are_met_where_they_are() -> None:
+    """Deform the spheres, with the same triangles and with others."""
+    shapes, placed = meshes(), objects()
+    made = opened(shapes, placed)
+    for edited in (meshes(10, 0.4), meshes(8, 0.25)):
+        made.apply(SceneDelta(meshes={"ball": edited["ball"]}), PerformanceSettings())
+        check(made, edited, placed)
+
+
+def test_objects_whose_material_turns_transparent_are_met_as_such() -> None:
+    """Move triangles between the two structures when a material is edited, all of them in the end."""
+    shapes, placed = meshes(), objects()
+    made = opened(shapes, placed)
+    for clear in (True, False):
+        now = [(key, matrix, "clear" if clear else "grey") for key, matrix, _ in placed]
+        made.apply(SceneDelta(instances=scenes.instances(now)), PerformanceSettings())
+        assert (made.structures.opaque.wide is None) == clear
+        assert (made.structures.filtered.wide is None) == (not clear)
+        check(made, shapes, now)
+
+
+def test_all_objects_leave() -> None:
+    """Meet nothing flattened once everything moves, and nothing at all in an empty scene."""
+    shapes, placed = meshes(), objects()
+    made = opened(shapes, placed)
+    moved = [(key, scenes.place(z=0.2) @ matrix, material) for key, matrix, material in placed]
+    made.apply(SceneDelta(instances=scenes.instances(moved)), PerformanceSettings())
+    assert made.structures.flat == set()
+    check(made, shapes, moved)
+    made.apply(SceneDelta(instances=replace(scenes.instances([]), object_keys=[])), PerformanceSettings())
+    check(made, shapes, [])
+
+
+def test_odd_meshes_are_met_or_not() -> None:
+    """Build over one triangle, over triangles without area, and over a mesh without triangles."""
+    one = scenes.mesh([[-2, -1, 0.1], [2, -1, 0.1], [0, 1.4, 0.1]], [[0, 1, 2]])
+    flat = scenes.mesh([[0, 0, 0.5], [1, 0, 0.5], [2, 0, 0.5], [0, 0, 0.5]], [[0, 1, 2], [0, 0, 0], [0, 3, 1]])
+    empty = scenes.mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    for shapes in ({"a": one}, {"a": flat}, {"a": one, "b": flat, "c": empty}):
+        placed = [(key, np.eye(4), "grey") for key in shapes]
+        check(opened(shapes, placed), shapes, placed)
