@@ -18,7 +18,7 @@ from ..kernels.paths import Options
 from .device_scene import DeviceScene
 from .passes.radiance_cache import smallest_cell
 from .passes.reference import FilmBuffers, ReferencePass
-from .passes.rest import RestBlend
+from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .settings import RenderSettings
@@ -26,11 +26,6 @@ from .view_data import ViewTracker
 
 __all__ = ["Realtime"]
 
-SETTLING = 16
-"""Frames at rest before the first path-traced sample: light has spread by then, and a camera that stops for a moment
-costs nothing"""
-TURN = 8
-"""Frames, then samples, that follow one another where several are asked for at once: samples are faster in batches"""
 KEYS_REPEAT = 1 << 16
 """Smallest cells that the camera may jump: at twice as many the keys of the cache's cells repeat"""
 

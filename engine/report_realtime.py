@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
+from ..kernels.rest_blend import TELLING_SAMPLES
+from .passes.rest import SETTLING, TURN
 from .program import Program
 from .report import Report, ReportKind
 from .scene import MaterialData
@@ -83,9 +85,10 @@ def rest_clause(settings: RenderSettings) -> str:
     denoiser, samples = settings.denoiser, settings.sampling.samples
     if not denoiser.path_traced_rest:
         return "; turn on path tracing at rest, or use the reference integrator, to draw it"
-    if 0 < samples <= denoiser.rest_frames:
-        return f"; render more than {denoiser.rest_frames} frames, or use the reference integrator, to draw it"
-    return f" until the picture has rested for {denoiser.rest_frames} frames"
+    frames = min(max(denoiser.rest_frames, 1), SETTLING + TURN) + int(TELLING_SAMPLES)
+    if 0 < samples <= frames:
+        return f"; render more than {frames} frames, or use the reference integrator, to draw it"
+    return f" until the picture has rested for {frames} frames"
 
 
 def material_facts(program: Program) -> Iterator[str | float]:
