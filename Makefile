@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # make render   set up .venv, render the gallery to out/gallery.png and print its path
-# make test     set up .venv, run the fast tests (make slow: the long ones)
+# make test     set up .venv, run the fast tests in JOBS=2 processes (make slow: the long ones, one by one)
 # make package  build and validate the extension's zips in dist/
 # make gui      drive a real Blender window with the installed extension; pictures in out/gui/
 # make figures  draw the paper's figures to out/figures and write docs/figures.md (SCENES="A.blend B.blend")
@@ -16,6 +16,7 @@ SCENE ?= sample_blends/gallery.blend
 OUTPUT ?= $(CURDIR)/out/gallery.png
 RENDER_ARGUMENTS ?= --size 640 360 --samples 32 --integrator reference
 TESTS ?=
+JOBS ?= 2
 SCENES ?=
 FIGURE_ARGUMENTS ?=
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' blender_manifest.toml)
@@ -47,7 +48,7 @@ render: setup
 	@.venv/bin/burnish render "$(SCENE)" --output "$(OUTPUT)" $(RENDER_ARGUMENTS)
 
 test: setup
-	@$(PYTEST) -q -m "not slow and not window" $(TESTS)
+	@$(PYTEST) -q -m "not slow and not window" -n $(JOBS) --dist loadfile $(TESTS)
 
 slow: setup
 	@$(PYTEST) -q -m "slow and not window" $(TESTS)
@@ -92,5 +93,5 @@ $(firstword $(ZIPS)): $(SOURCES) $(WHEEL_LINUX) $(WHEEL_WINDOWS) | setup
 	for zip in $(ZIPS); do $(PYTHON) "$$tool" validate "$$zip" >>dist/build.log || { cat dist/build.log >&2; exit 1; }; done
 
 clean:
-	@rm -rf .venv .venv.lock build dist out wheels *.egg-info .pytest_cache .ruff_cache
+	@rm -rf .venv .venv.lock build dist out wheels *.egg-info .hypothesis .pytest_cache .ruff_cache
 	@find . -name __pycache__ -prune -exec rm -rf {} +

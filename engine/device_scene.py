@@ -363,7 +363,7 @@ class DeviceScene:
         geometry.triangles = store.triangles.array
         geometry.slots = store.slots.array
         geometry.positions = store.positions.array
-        geometry.normals = store.normals.array
+        geometry.corners = store.corners.array
         geometry.uvs = store.uvs.array
         geometry.attributes = store.attributes.array
         geometry.uv_offsets, geometry.attribute_offsets = store.tables()

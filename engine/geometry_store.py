@@ -72,7 +72,7 @@ class _Buffer:
 
 
 class GeometryStore:
-    """Buffers of positions, triangles, normals, UV maps and attributes."""
+    """Buffers of positions, triangles, corners, UV maps and attributes."""
 
     def __init__(self, device: str):
         self.device = device
@@ -88,7 +88,7 @@ class GeometryStore:
         self.positions = _Buffer(wp.vec3, self.device)
         self.triangles = _Buffer(wp.vec3i, self.device)
         self.slots = _Buffer(wp.int32, self.device)
-        self.normals = _Buffer(wp.vec3, self.device)
+        self.corners = _Buffer(wp.vec4, self.device)
         self.uvs = _Buffer(wp.vec2, self.device)
         self.attributes = _Buffer(wp.vec4, self.device)
         self.rows = 0
@@ -122,7 +122,7 @@ class GeometryStore:
             self._keep_positions(key, old, len(mesh.positions))
         else:
             self.slots.reserve(len(mesh.triangles))
-            self.normals.reserve(3 * len(mesh.triangles))
+            self.corners.reserve(6 * len(mesh.triangles))
             starts = (
                 self.positions.reserve(len(mesh.positions)),
                 self.triangles.reserve(len(mesh.triangles)),
@@ -151,7 +151,11 @@ class GeometryStore:
         self.positions.write(vertex, mesh.positions)
         self.triangles.write(triangle, mesh.triangles + np.int32(vertex))
         self.slots.write(triangle, mesh.material_slots)
-        self.normals.write(3 * triangle, mesh.corner_normals.reshape(-1, 3))
+        corners = np.zeros((len(mesh.triangles), 6, 4), np.float32)
+        corners[:, :3, :3] = mesh.positions[mesh.triangles]
+        corners[:, 0, 3] = mesh.material_slots
+        corners[:, 3:, :3] = mesh.corner_normals.reshape(-1, 3, 3)
+        self.corners.write(6 * triangle, corners.reshape(-1, 4))
         for i, values in enumerate(mesh.uv_maps.values()):
             self.uvs.write(uv + i * 3 * len(mesh.triangles), values.reshape(-1, 2))
         for i, values in enumerate(mesh.attributes.values()):

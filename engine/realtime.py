@@ -121,9 +121,11 @@ class Realtime:
             return 0
         if self.frames >= max(denoiser.rest_frames, 1):
             return 1 << 30
-        ahead = self.frames - SETTLING
-        # A turn of frames ends TURN ahead of the samples, one of samples when they have caught up.
-        return ahead - traced if ahead >= traced + TURN or traced % TURN else 0
+        if self.frames < SETTLING:
+            return 0
+        # A turn of samples ends when they have come level with the frames, one of frames when those are TURN ahead.
+        ahead = self.frames - SETTLING + TURN - traced
+        return ahead if ahead >= TURN or traced % TURN else 0
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
         settings = self._settings

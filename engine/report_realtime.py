@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 from ..kernels.rest_blend import TELLING_SAMPLES
-from .passes.rest import SETTLING, TURN
+from .passes.rest import SETTLING
 from .program import Program
 from .report import Report, ReportKind
 from .scene import MaterialData
@@ -85,7 +85,7 @@ def rest_clause(settings: RenderSettings) -> str:
     denoiser, samples = settings.denoiser, settings.sampling.samples
     if not denoiser.path_traced_rest:
         return "; turn on path tracing at rest, or use the reference integrator, to draw it"
-    frames = min(max(denoiser.rest_frames, 1), SETTLING + TURN) + int(TELLING_SAMPLES)
+    frames = min(max(denoiser.rest_frames, 1), SETTLING) + int(TELLING_SAMPLES)
     if 0 < samples <= frames:
         return f"; render more than {frames} frames, or use the reference integrator, to draw it"
     return f" until the picture has rested for {frames} frames"

@@ -46,7 +46,7 @@ BACKGROUND_DEPTH = 1e10
 
 MAX_PIXELS = 1 << 30
 
-DIMMED = 1e-5
+DIMMED = 5e-4
 """Share of all light of before below which what an edit leaves of it is lost among averages of before, which forget
 within a dozen frames but for a hundredth"""
 

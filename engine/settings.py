@@ -178,8 +178,8 @@ class PerformanceSettings:
         4.0, "Flatten all instances into one structure while that multiplies the unique triangles by less than this",
         low=1.0, high=1e6, soft_high=64.0)
     deterministic: bool = setting(
-        False, "Make real-time frames the same in every run on CUDA, where threads otherwise race for the cache's "
-        "cells: costs a few hundredths of a millisecond a frame. On the processor they always are, at no cost")
+        False, "Deal the cache's cells by their keys on CUDA, where threads otherwise race for them, so that a full "
+        "cache does not differ from run to run: costs half a millisecond a frame. On the processor nothing races")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,7 +331,7 @@ class DenoiserSettings:
     antialiasing: bool = setting(
         True, "Average jittered frames: smooth edges for little time. Off shows each frame alone")
     rest_frames: int = setting(
-        64, "Frames at rest after which all time goes into path-traced samples, from the sixteenth on half of it (0: "
+        64, "Frames at rest after which all time goes into path-traced samples, from the eighth on half of it (0: "
         "at once): they put right what frames get wrong. More frames are smoother for a while and exact later",
         low=0, high=1 << 20, unit="frames")
     path_traced_rest: bool = setting(

@@ -143,10 +143,11 @@ class TextureArrays:
     def struct(self) -> Textures:
         """Return what kernels read; the same object until something changes."""
         if self._struct is None:
-            names = TextureInfo.numpy_dtype()["names"]
+            names = [name for name in TextureInfo.numpy_dtype()["names"] if name != "padding"]
             infos = np.zeros(max(self._places, default=-1) + 1, dtype=TextureInfo.numpy_dtype())
             for slot, place in self._places.items():
-                infos[slot] = tuple(getattr(place, name) for name in names)
+                for name in names:
+                    infos[slot][name] = getattr(place, name)
             textures = Textures()
             textures.infos = wp.array(infos, dtype=TextureInfo, device=self._device)
             for form, (name, _) in FORMATS.items():

@@ -51,8 +51,11 @@ REBALANCE_MAX = wp.constant(4.0)
 SAMPLES_MAX = wp.constant(4096.0)
 
 # Frames after a change for which the mean of indirect light reaches back less far than this many times: what cells
-# know of each other's light is a mean of what they knew before, which converges only if the past is left behind.
+# know of each other's light is a mean of what they knew before, which converges only if the past is left behind. A
+# plain mean of t frames would keep an error of t^-(1 - albedo), this one keeps about t^(-(1 - albedo) / AGE_SHARE).
 AGE_SHARE = wp.constant(0.06)
+# So many samples are kept nevertheless by cells that seldom get one.
+AGE_SAMPLES = wp.constant(4.0)
 
 
 @wp.struct
@@ -301,6 +304,18 @@ def scaled(held: wp.vec4, factor: wp.vec3) -> wp.vec4:
     return wp.vec4(held[0] * factor[0], held[1] * factor[1], held[2] * factor[2], held[3])
 
 
+@wp.func
+def aged(held: wp.vec4, age: float) -> wp.vec4:
+    """Return a cell's light with its samples counting less from frame to frame, as few as they may be.
+
+    With n samples in every frame n * AGE_SHARE * age of them are left, whether a frame has many or one has many frames.
+    """
+    if held[3] <= AGE_SAMPLES:
+        return held
+    frames = AGE_SHARE * age
+    return wp.vec4(held[0], held[1], held[2], wp.max(held[3] * frames / (frames + 1.0), AGE_SAMPLES))
+
+
 @wp.kernel
 def update_cells(
     first: int,
@@ -329,8 +344,12 @@ def update_cells(
     if samples > 0 or age == 0.0:
         grid_out.direct[cell] = direct
     bounced = grid_out.counts[2 * cell + 1]
-    if bounced > 0 or age < float(REBALANCE_FRAMES):
-        indirect = scaled(grid_out.indirect[cell], control.factors[0])
+    indirect = grid_out.indirect[cell]
+    if bounced > 0 or indirect[3] > AGE_SAMPLES or age < float(REBALANCE_FRAMES):
+        if age < float(REBALANCE_FRAMES):
+            indirect = scaled(indirect, control.factors[0])
+        else:
+            indirect = aged(indirect, age)
         if bounced > 0:
             cap = wp.min(cap, float(bounced) * AGE_SHARE * age)
             indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, cap, control.factors[1])

@@ -15,6 +15,7 @@ from .paths import ENDED, Paths
 from .probe_rays import MISS_DISTANCE
 from .types import MATERIAL_LEAN_FLAT, VISIBLE_DIFFUSE, Scene
 from .view import View
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -71,7 +72,7 @@ def evaluate_cache_lean(
         vertices_out.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
         store_miss(scene, world, bounce, threshold, paths.direction[slot], weight, vertices_out, slot)
         return
-    view = views[0]
+    view = load_view(views)
     point = hit_point(view, scene, paths, slot, bounce)
     if (scene.materials.materials[point.material].flags & MATERIAL_LEAN_FLAT) == 0:
         vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, LEFT)

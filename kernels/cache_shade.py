@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, Vertices, cell_seed
+from .cache_rays import IDLE, SPREADING_FRAMES, Vertices, cell_seed
 from .geometry_math import is_finite3
-from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light
+from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light, known_indirect
 from .packing import rgb, unpack_normal
 from .paths import Paths
 from .probe_rays import ProbeRays
-from .view import View
+from .view import View, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -51,10 +51,15 @@ def gather_bounces(
                 direct = (rgb(known) * known[3] + direct) / (known[3] + 1.0)
         if all_bounces == 1 and wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
             p = vertices_out.position[slot]
-            light = indirect_light(
+            light = known_indirect(
                 grid, view, cell, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
                 paths.direction[slot], cell_seed(slot, view.frame))
-            carried = wp.cw_mul(reflectance, light)
+            source = vertices_out.source[bounce]
+            if not light[3] > 0.0 and source != NO_CELL and settling_frames(view) >= SPREADING_FRAMES:
+                # One ray of a thousand meets cells so seldom met that nothing is known. Black would be lost in every
+                # bounce: 2 % of the light at albedo 0.95. The source's own light stands for the mean of the known.
+                light = grid.indirect[source]
+            carried = wp.cw_mul(reflectance, rgb(light))
         arrived = rgb(emission) + wp.cw_mul(reflectance, direct)
     if not (is_finite3(arrived) and is_finite3(carried)):
         arrived = wp.vec3(0.0, 0.0, 0.0)

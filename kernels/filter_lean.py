@@ -15,6 +15,7 @@ from .intersect import MISS, Hit, closest_filtered_hit
 from .node_lean import run_lean_transparency
 from .sampling import hashed_unit
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
+from .wide_loads import load_instance, load_material_flags
 
 WALK_ON = wp.constant(0)
 WALK_STOPPED = wp.constant(1)
@@ -28,12 +29,12 @@ WALK_OVERRUN = wp.constant(3)
 @wp.func
 def lean_transparency(scene: Scene, point: ShadingPoint, kind: int) -> wp.vec3:
     """Return how much of the light a layer lets through: 1 where this kind of ray does not see the object."""
-    if (scene.geometry.instances[point.instance].visibility & kind) == 0:
+    if (load_instance(scene.geometry.instances, point.instance).visibility & kind) == 0:
         return wp.vec3(1.0, 1.0, 1.0)
-    material = scene.materials.materials[point.material]
-    if (material.flags & MATERIAL_TRANSPARENCY) == 0:
+    program = load_material_flags(scene.materials.materials, point.material)
+    if (program[3] & MATERIAL_TRANSPARENCY) == 0:
         return wp.vec3(0.0, 0.0, 0.0)
-    return run_lean_transparency(scene, point, material.transparency_start)
+    return run_lean_transparency(scene, point, program[1])
 
 
 @wp.struct

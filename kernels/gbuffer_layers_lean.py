@@ -13,6 +13,7 @@ from .paths import make_hit
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_CAMERA, Scene
 from .view import View
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -54,7 +55,7 @@ def filter_primary_lean(
             if walk.hit.instance == MISS:
                 pixel = int(-1)
         if pixel >= 0:
-            walk = meet_pixel_layer(views[0], scene, width, hits_out, pixel, walk)
+            walk = meet_pixel_layer(load_view(views), scene, width, hits_out, pixel, walk)
             if walk.state != WALK_ON:
                 if walk.state == WALK_STOPPED:
                     store_found(hits_out, pixel, walk.hit)

@@ -13,6 +13,7 @@ from .node_lean import lean_surface, run_lean
 from .pixel_order import pixel_in_blocks
 from .types import MATERIAL_LEAN, Scene
 from .view import View
+from .wide_loads import load_material_flags, load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -41,7 +42,7 @@ def shade_lean(
     if missed and scene.environment.constant == 0:
         gbuffer_out.hit[pixel] = wp.vec2i(LEFT, LEFT)
         return
-    view = views[0]
+    view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
     weight = wp.vec3(1.0, 1.0, 1.0)
     if filtered == 1:
@@ -50,10 +51,11 @@ def shade_lean(
         store_world(view, scene, scene.environment.radiance, weight, gbuffer_out, pixel)
         return
     point = pixel_point(view, scene, hits, pixel, ray)
-    if (scene.materials.materials[point.material].flags & MATERIAL_LEAN) == 0:
+    program = load_material_flags(scene.materials.materials, point.material)
+    if (program[3] & MATERIAL_LEAN) == 0:
         gbuffer_out.hit[pixel] = wp.vec2i(LEFT, LEFT)
         return
-    closure = run_lean(scene, point, scene.materials.materials[point.material].surface_start)
+    closure = run_lean(scene, point, program[0])
     surface = lean_surface(scene.tables, closure, point)
     store_surface(
         view, scene, point, surface.albedo, surface.normal, surface.cosine, closure.emission, weight, gbuffer_out,

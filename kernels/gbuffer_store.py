@@ -29,6 +29,7 @@ from .reflectance import BsdfAlbedo, fit_lobe
 from .tracing import FOOTPRINT_SCALE
 from .types import HOLDOUT, VISIBLE_CAMERA, FrameData, Geometry, Scene, ShadingPoint
 from .view import SKY_DEPTH, View, pixel_footprint, project
+from .wide_loads import load_corner, load_instance, load_normal
 
 # GBuffer.hit[0] where the lean kernel has left a pixel to the full one.
 LEFT = wp.constant(-2)
@@ -50,19 +51,16 @@ def finite_or_zero(v: wp.vec3) -> wp.vec3:
 @wp.func
 def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> float:
     """Return the squared change of the interpolated normal over a vector in the triangle's plane."""
-    to_world = geometry.instances[point.instance].to_world
-    to_object = geometry.instances[point.instance].to_object
-    v = geometry.triangles[point.triangle]
-    corner = 3 * point.triangle
-    n0 = wp.normalize(transform_normal(to_object, geometry.normals[corner]))
-    n1 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 1]))
-    n2 = wp.normalize(transform_normal(to_object, geometry.normals[corner + 2]))
-    p0 = geometry.positions[v[0]]
-    e1 = geometry.positions[v[1]] - p0
-    e2 = geometry.positions[v[2]] - p0
+    instance = load_instance(geometry.instances, point.instance)
+    n0 = wp.normalize(transform_normal(instance.to_object, load_normal(geometry, point.triangle, 0)))
+    n1 = wp.normalize(transform_normal(instance.to_object, load_normal(geometry, point.triangle, 1)))
+    n2 = wp.normalize(transform_normal(instance.to_object, load_normal(geometry, point.triangle, 2)))
+    p0 = load_corner(geometry, point.triangle, 0)
+    e1 = load_corner(geometry, point.triangle, 1) - p0
+    e2 = load_corner(geometry, point.triangle, 2) - p0
     # Barycentric coordinates of the offset by the edges' Gram matrix; lengths in units of the first edge.
-    world1 = transform_direction(to_world, e1)
-    world2 = transform_direction(to_world, e2)
+    world1 = transform_direction(instance.to_world, e1)
+    world2 = transform_direction(instance.to_world, e2)
     scale = 1.0 / wp.max(wp.length(world1), 1.0e-20)
     world1 = world1 * scale
     world2 = world2 * scale
@@ -146,7 +144,7 @@ def store_surface(
         material.coat_roughness = widened(albedo.coat_roughness, added)
     emission = finite_or_zero(wp.cw_mul(emitted, weight)) * view.exposure
     alpha = float(1.0)
-    if (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
+    if (load_instance(scene.geometry.instances, point.instance).visibility & HOLDOUT) != 0:
         # It keeps its geometry for the passes that look at neighbours, and gives no light at all.
         material = SurfaceMaterial()
         emission = wp.vec3(0.0, 0.0, 0.0)

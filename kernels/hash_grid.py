@@ -296,10 +296,13 @@ def coarse_key(
 
 
 @wp.func
-def indirect_light(
+def known_indirect(
     grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> wp.vec3:
-    """Return the indirect light of a point's cell (irradiance / pi), of the coarse one where it has none yet."""
+) -> wp.vec4:
+    """Return the indirect light of a point's cell (irradiance / pi), of the coarse one where it has none yet.
+
+    w = samples in it; 0: nothing is known.
+    """
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if cell != NO_CELL:
         light = grid.indirect[cell]
@@ -307,6 +310,15 @@ def indirect_light(
         coarse = find_key(grid, coarse_key(grid, view, position, normal, direction, seed))
         if coarse != NO_CELL:
             light = grid.indirect[coarse]
+    return light
+
+
+@wp.func
+def indirect_light(
+    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+) -> wp.vec3:
+    """Return the light of known_indirect, black where nothing is known."""
+    light = known_indirect(grid, view, cell, position, normal, direction, seed)
     return wp.vec3(light[0], light[1], light[2])
 
 

@@ -17,6 +17,7 @@ import warp as wp
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
 from .types import FlatTriangles, Geometry, Scene, ShadingPoint
 from .wide_bvh import any_wide, closest_wide
+from .wide_loads import load_corner, load_instance, load_normal, load_slot
 
 # Nothing was hit.
 MISS = wp.constant(-1)
@@ -156,10 +157,10 @@ def instance_shift(geometry: Geometry, instance: int) -> wp.vec3:
     A large translation cancelled by large object coordinates leaves its rounding behind. Flattened triangles are
     met where surface_point finds them, however their vertices were rounded.
     """
-    if geometry.instances[instance].opaque_bvh == wp.uint64(0):
-        if geometry.instances[instance].filtered_bvh == wp.uint64(0):
-            return wp.vec3(0.0, 0.0, 0.0)
-    m = geometry.instances[instance].to_world
+    row = load_instance(geometry.instances, instance)
+    if row.opaque_bvh == wp.uint64(0) and row.filtered_bvh == wp.uint64(0):
+        return wp.vec3(0.0, 0.0, 0.0)
+    m = row.to_world
     return wp.vec3(wp.abs(m[0, 3]), wp.abs(m[1, 3]), wp.abs(m[2, 3]))
 
 
@@ -182,22 +183,19 @@ def hit_error(
 def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
     """Return the geometry of a hit: position, normals towards the ray's origin, material, error bound."""
     geometry = scene.geometry
-    to_world = geometry.instances[hit.instance].to_world
-    to_object = geometry.instances[hit.instance].to_object
-    vertices = geometry.triangles[hit.triangle]
-    p0 = world_vertex(geometry, to_world, vertices[0])
-    p1 = world_vertex(geometry, to_world, vertices[1])
-    p2 = world_vertex(geometry, to_world, vertices[2])
+    instance = load_instance(geometry.instances, hit.instance)
+    p0 = transform_point(instance.to_world, load_corner(geometry, hit.triangle, 0))
+    p1 = transform_point(instance.to_world, load_corner(geometry, hit.triangle, 1))
+    p2 = transform_point(instance.to_world, load_corner(geometry, hit.triangle, 2))
     w = 1.0 - hit.u - hit.v
-    corner = 3 * hit.triangle
     local_normal = (
-        geometry.normals[corner] * w
-        + geometry.normals[corner + 1] * hit.u
-        + geometry.normals[corner + 2] * hit.v
+        load_normal(geometry, hit.triangle, 0) * w
+        + load_normal(geometry, hit.triangle, 1) * hit.u
+        + load_normal(geometry, hit.triangle, 2) * hit.v
     )
-    flip = wp.where(geometry.instances[hit.instance].flipped == 1, -1.0, 1.0)
+    flip = wp.where(instance.flipped == 1, -1.0, 1.0)
     ng = normalize_or(wp.cross(p1 - p0, p2 - p0) * flip, -direction)
-    n = normalize_or(transform_normal(to_object, local_normal), ng)
+    n = normalize_or(transform_normal(instance.to_object, local_normal), ng)
 
     point = ShadingPoint()
     point.position = p0 * w + p1 * hit.u + p2 * hit.v
@@ -214,8 +212,8 @@ def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
     point.u = hit.u
     point.v = hit.v
     point.error = hit_error(p0, p1, p2, hit.u, hit.v, ng, instance_shift(geometry, hit.instance))
-    slot = wp.min(geometry.slots[hit.triangle], geometry.instances[hit.instance].material_count - 1)
-    point.material = scene.materials.instance_materials[geometry.instances[hit.instance].material_offset + slot]
+    slot = wp.min(load_slot(geometry, hit.triangle), instance.material_count - 1)
+    point.material = scene.materials.instance_materials[instance.material_offset + slot]
     return point
 
 

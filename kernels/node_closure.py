@@ -15,13 +15,14 @@ from .types import (
     Materials,
     ShadingPoint,
 )
+from .wide_loads import load_vec4, load_vec4i
 
 
 @wp.func
 def fetch(registers: wp.array[wp.vec4], constants: wp.array[wp.vec4], operand: int) -> wp.vec4:
     """Return an operand: register k for k >= 0, constant -1 - k for k < 0."""
     if operand < 0:
-        return constants[-1 - operand]
+        return load_vec4(constants, -1 - operand)
     return registers[operand & (codes.REGISTER_COUNT - 1)]
 
 
@@ -34,7 +35,7 @@ def xyz(v: wp.vec4) -> wp.vec3:
 @wp.func
 def argument(materials: Materials, registers: wp.array[wp.vec4], first: int, slot: int) -> wp.vec4:
     """Return argument `slot` of the closure whose argument words start at instruction `first`."""
-    word = materials.code[first + slot // 3]
+    word = load_vec4i(materials.code, first + slot // 3)
     return fetch(registers, materials.constants, word[1 + slot % 3])
 
 

@@ -12,6 +12,7 @@ import warp as wp
 from . import node_codes as codes
 from .geometry_math import normalize_or, orthonormal_tangent, transform_direction, transform_normal, transform_point
 from .types import Instance, Scene, ShadingPoint
+from .wide_loads import load_corner, load_normal, load_vec2, load_vec4
 
 
 @wp.func
@@ -27,18 +28,17 @@ def bump_axis(normal: wp.vec3, second: bool) -> wp.vec3:
 
 
 @wp.func
-def world_edge(scene: Scene, instance: Instance, triangle: wp.vec3i, corner: int) -> wp.vec3:
+def world_edge(scene: Scene, instance: Instance, triangle: int, corner: int) -> wp.vec3:
     """Return the edge from the first vertex to vertex `corner` in world space."""
-    edge = scene.geometry.positions[triangle[corner]] - scene.geometry.positions[triangle[0]]
+    edge = load_corner(scene.geometry, triangle, corner) - load_corner(scene.geometry, triangle, 0)
     return transform_direction(instance.to_world, edge)
 
 
 @wp.func
 def shift_point(scene: Scene, point: ShadingPoint, instance: Instance, offset: wp.vec3) -> ShadingPoint:
     """Return the point moved by `offset` in the plane of its triangle, barycentric coordinates included."""
-    triangle = scene.geometry.triangles[point.triangle]
-    a = world_edge(scene, instance, triangle, 1)
-    b = world_edge(scene, instance, triangle, 2)
+    a = world_edge(scene, instance, point.triangle, 1)
+    b = world_edge(scene, instance, point.triangle, 2)
     aa = wp.dot(a, a)
     ab = wp.dot(a, b)
     bb = wp.dot(b, b)
@@ -58,11 +58,10 @@ def uv_coordinate(scene: Scene, point: ShadingPoint, instance: Instance, uv_map:
     if base < 0:
         return wp.vec4(0.0)
     base += 3 * (point.triangle - instance.triangle_offset)
-    uv = scene.geometry.uvs[base]
-    a = scene.geometry.uvs[base + 1] - uv
-    b = scene.geometry.uvs[base + 2] - uv
-    triangle = scene.geometry.triangles[point.triangle]
-    normal = wp.cross(world_edge(scene, instance, triangle, 1), world_edge(scene, instance, triangle, 2))
+    uv = load_vec2(scene.geometry.uvs, base)
+    a = load_vec2(scene.geometry.uvs, base + 1) - uv
+    b = load_vec2(scene.geometry.uvs, base + 2) - uv
+    normal = wp.cross(world_edge(scene, instance, point.triangle, 1), world_edge(scene, instance, point.triangle, 2))
     uv_area = wp.abs(a[0] * b[1] - a[1] * b[0])
     width = point.footprint * wp.sqrt(uv_area / wp.max(wp.length(normal), 1.0e-30))
     uv = uv + a * point.u + b * point.v
@@ -77,20 +76,19 @@ def attribute_value(scene: Scene, point: ShadingPoint, instance: Instance, attri
         return wp.vec4(0.0)
     base += 3 * (point.triangle - instance.triangle_offset)
     return (
-        scene.geometry.attributes[base] * (1.0 - point.u - point.v)
-        + scene.geometry.attributes[base + 1] * point.u
-        + scene.geometry.attributes[base + 2] * point.v
+        load_vec4(scene.geometry.attributes, base) * (1.0 - point.u - point.v)
+        + load_vec4(scene.geometry.attributes, base + 1) * point.u
+        + load_vec4(scene.geometry.attributes, base + 2) * point.v
     )
 
 
 @wp.func
 def object_normal(scene: Scene, point: ShadingPoint) -> wp.vec3:
     """Return the interpolated normal in object space, not normalised, on the triangle's front."""
-    base = 3 * point.triangle
     return (
-        scene.geometry.normals[base] * (1.0 - point.u - point.v)
-        + scene.geometry.normals[base + 1] * point.u
-        + scene.geometry.normals[base + 2] * point.v
+        load_normal(scene.geometry, point.triangle, 0) * (1.0 - point.u - point.v)
+        + load_normal(scene.geometry, point.triangle, 1) * point.u
+        + load_normal(scene.geometry, point.triangle, 2) * point.v
     )
 
 
@@ -116,13 +114,12 @@ def uv_tangent(scene: Scene, point: ShadingPoint, instance: Instance, uv_map: in
     if base < 0:
         return wp.vec4(0.0)
     base += 3 * (point.triangle - instance.triangle_offset)
-    a = scene.geometry.uvs[base + 1] - scene.geometry.uvs[base]
-    b = scene.geometry.uvs[base + 2] - scene.geometry.uvs[base]
+    a = load_vec2(scene.geometry.uvs, base + 1) - load_vec2(scene.geometry.uvs, base)
+    b = load_vec2(scene.geometry.uvs, base + 2) - load_vec2(scene.geometry.uvs, base)
     det = a[0] * b[1] - a[1] * b[0]
-    triangle = scene.geometry.triangles[point.triangle]
-    origin = scene.geometry.positions[triangle[0]]
-    gradient = ((scene.geometry.positions[triangle[1]] - origin) * b[1]
-                - (scene.geometry.positions[triangle[2]] - origin) * a[1])
+    origin = load_corner(scene.geometry, point.triangle, 0)
+    gradient = ((load_corner(scene.geometry, point.triangle, 1) - origin) * b[1]
+                - (load_corner(scene.geometry, point.triangle, 2) - origin) * a[1])
     sign = wp.where(det < 0.0, -1.0, 1.0)
     normal = normalize_or(object_normal(scene, point), wp.vec3(0.0))
     tangent = gradient * sign

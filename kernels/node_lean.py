@@ -23,6 +23,7 @@ from .normals import valid_specular_normal
 from .reflectance import BsdfAlbedo, add_base
 from .texture import sample_texture
 from .types import CLOSURE_PRINCIPLED, Bsdf, Closure, Scene, ShadingPoint, Tables
+from .wide_loads import load_instance, load_vec4, load_vec4i
 
 __all__ = ["LeanClosure", "LeanSurface", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
 
@@ -124,7 +125,7 @@ def lean_mix(sub: int, t: float, a: wp.vec3, b: wp.vec3) -> wp.vec3:
 @wp.func
 def lean_input(scene: Scene, point: ShadingPoint, sub: int, index: int) -> wp.vec4:
     """Return a UV map's coordinate or an attribute."""
-    instance = scene.geometry.instances[point.instance]
+    instance = load_instance(scene.geometry.instances, point.instance)
     if sub == codes.INPUT_UV:
         return uv_coordinate(scene, point, instance, index)
     return attribute_value(scene, point, instance, index)
@@ -133,9 +134,9 @@ def lean_input(scene: Scene, point: ShadingPoint, sub: int, index: int) -> wp.ve
 @wp.func
 def lean_transform(scene: Scene, sub: int, row: int, a: wp.vec4) -> wp.vec4:
     """Apply three constant rows of an affine matrix (see nodes.transform)."""
-    x = scene.materials.constants[row]
-    y = scene.materials.constants[row + 1]
-    z = scene.materials.constants[row + 2]
+    x = load_vec4(scene.materials.constants, row)
+    y = load_vec4(scene.materials.constants, row + 1)
+    z = load_vec4(scene.materials.constants, row + 2)
     p = wp.vec4(a[0], a[1], a[2], wp.where(sub == codes.TRANSFORM_POINT, 1.0, 0.0))
     scale = (wp.length(xyz(x)) + wp.length(xyz(y)) + wp.length(xyz(z))) / 3.0
     return wp.vec4(wp.dot(x, p), wp.dot(y, p), wp.dot(z, p), a[3] * scale)
@@ -166,7 +167,7 @@ def lean_value(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b:
 def fetch_lean(scene: Scene, registers: wp.array[wp.vec4], operand: int) -> wp.vec4:
     """Return an operand (see node_closure.fetch); immediates that are read as one do no harm."""
     if operand < 0:
-        return scene.materials.constants[-1 - operand]
+        return load_vec4(scene.materials.constants, -1 - operand)
     return registers[operand & (LEAN_REGISTERS - 1)]
 
 
@@ -210,7 +211,7 @@ def run_lean(scene: Scene, point: ShadingPoint, start: int) -> LeanClosure:
     registers = wp.zeros(shape=(8,), dtype=wp.vec4)
     emission = wp.vec3(0.0, 0.0, 0.0)
     pc = int(start)
-    word = scene.materials.code[pc]
+    word = load_vec4i(scene.materials.code, pc)
     op = word[0] & 255
     while op != codes.OP_END and op != codes.OP_CLOSURE:
         if op != codes.OP_TRANSPARENT:
@@ -226,7 +227,7 @@ def run_lean(scene: Scene, point: ShadingPoint, start: int) -> LeanClosure:
             else:
                 registers[out] = lean_value(scene, point, word, a, b, fetch_lean(scene, registers, word[3]))
         pc += 1
-        word = scene.materials.code[pc]
+        word = load_vec4i(scene.materials.code, pc)
         op = word[0] & 255
     closure = empty_lean(point)
     if op == codes.OP_CLOSURE:
@@ -242,7 +243,7 @@ def run_lean_transparency(scene: Scene, point: ShadingPoint, start: int) -> wp.v
     transparency = wp.vec3(0.0, 0.0, 0.0)
     pc = int(start)
     while True:
-        word = scene.materials.code[pc]
+        word = load_vec4i(scene.materials.code, pc)
         op = word[0] & 255
         if op == codes.OP_END:
             break

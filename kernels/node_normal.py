@@ -12,6 +12,7 @@ from . import node_codes as codes
 from .geometry_math import normalize_or, transform_direction, transform_normal, transform_point
 from .node_input import bump_axis, object_normal, uv_tangent
 from .types import Instance, Scene, ShadingPoint
+from .wide_loads import load_instance
 
 
 @wp.func
@@ -46,7 +47,7 @@ def normal_map(
     """
     if point.instance < 0:
         return point.normal
-    instance = scene.geometry.instances[point.instance]
+    instance = load_instance(scene.geometry.instances, point.instance)
     c = texel * 2.0 - wp.vec3(1.0)
     if (sub & codes.NORMAL_INVERT_GREEN) != 0:
         c = wp.vec3(c[0], -c[1], c[2])

@@ -30,7 +30,7 @@ ASSUMED_ERROR = wp.constant(0.01)
 DARK = wp.constant(0.02)
 
 # Samples from which P may tell of F's error: what is rare has not been met with fewer, and P seems too dark.
-TELLING_SAMPLES = wp.constant(8.0)
+TELLING_SAMPLES = wp.constant(4.0)
 
 # Share of its neighbours' mean variance that a pixel has at least: its own few samples may have met nothing rare.
 NEIGHBORS_SHARE = wp.constant(0.5)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import normalize_or, transform_normal
-from .intersect import world_vertex
+from .geometry_math import normalize_or, transform_normal, transform_point
 from .types import Geometry, ShadingPoint
+from .wide_loads import load_corner, load_instance, load_normal
 
 # Cosine to the light below which a ray starts on the implied surface (Cycles' default of the object's setting).
 GRAZING_COSINE = wp.constant(0.1)
@@ -44,10 +44,9 @@ def patch_height(
 def smooth_surface_offset(geometry: Geometry, point: ShadingPoint, wi: wp.vec3) -> wp.vec3:
     """Return by how much to move the start of a shadow ray towards `wi`; zero for flat triangles and steep light."""
     zero = wp.vec3(0.0, 0.0, 0.0)
-    corner = 3 * point.triangle
-    m0 = geometry.normals[corner]
-    m1 = geometry.normals[corner + 1]
-    m2 = geometry.normals[corner + 2]
+    m0 = load_normal(geometry, point.triangle, 0)
+    m1 = load_normal(geometry, point.triangle, 1)
+    m2 = load_normal(geometry, point.triangle, 2)
     if wp.length_sq(m1 - m0) + wp.length_sq(m2 - m0) < 1.0e-12:
         return zero
     cosine = wp.abs(wp.dot(point.normal, wi))
@@ -60,17 +59,15 @@ def smooth_surface_offset(geometry: Geometry, point: ShadingPoint, wi: wp.vec3) 
     amount = wp.clamp(amount, 0.0, 1.0)
     if amount <= 0.0:
         return zero
-    to_world = geometry.instances[point.instance].to_world
-    to_object = geometry.instances[point.instance].to_object
-    vertices = geometry.triangles[point.triangle]
-    v0 = world_vertex(geometry, to_world, vertices[0])
-    v1 = world_vertex(geometry, to_world, vertices[1])
-    v2 = world_vertex(geometry, to_world, vertices[2])
+    instance = load_instance(geometry.instances, point.instance)
+    v0 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 0))
+    v1 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 1))
+    v2 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 2))
     # Seen from the other side the surface is the same with all normals turned round.
     outward = wp.where(point.backfacing == 1, -side, side)
-    n0 = normalize_or(transform_normal(to_object, m0), point.normal) * outward
-    n1 = normalize_or(transform_normal(to_object, m1), point.normal) * outward
-    n2 = normalize_or(transform_normal(to_object, m2), point.normal) * outward
+    n0 = normalize_or(transform_normal(instance.to_object, m0), point.normal) * outward
+    n1 = normalize_or(transform_normal(instance.to_object, m1), point.normal) * outward
+    n2 = normalize_or(transform_normal(instance.to_object, m2), point.normal) * outward
     b0 = 1.0 - point.u - point.v
     height = patch_height(point.position, v0, v1, v2, n0, n1, n2, b0, point.u)
     return (n0 * b0 + n1 * point.u + n2 * point.v) * (height * amount)

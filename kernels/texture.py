@@ -17,6 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from .types import TextureInfo, Textures
+from .wide_loads import load_texture_info, load_vec4, load_vec4h, load_vec4us
 
 __all__ = ["sample_texture", "srgb_to_linear"]
 
@@ -96,12 +97,12 @@ def load_texel(textures: Textures, format: int, index: int) -> wp.vec4:
             float(texel >> wp.uint32(24)),
         )
     if format == TEXELS_HALF:
-        halves = textures.halves4[index]
+        halves = load_vec4h(textures.halves4, index)
         return wp.vec4(float(halves[0]), float(halves[1]), float(halves[2]), float(halves[3]))
     if format == TEXELS_SHORT:
-        shorts = textures.shorts4[index]
+        shorts = load_vec4us(textures.shorts4, index)
         return (1.0 / 65535.0) * wp.vec4(float(shorts[0]), float(shorts[1]), float(shorts[2]), float(shorts[3]))
-    return textures.floats4[index]
+    return load_vec4(textures.floats4, index)
 
 
 @wp.func
@@ -212,7 +213,7 @@ def sample_texture(
         return wp.vec4(1.0, 0.0, 1.0, 1.0)
     if not (wp.isfinite(uv[0]) and wp.isfinite(uv[1])):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    info = textures.infos[texture]
+    info = load_texture_info(textures.infos, texture)
     if info.levels < 1:
         return wp.vec4(1.0, 0.0, 1.0, 1.0)
     wrapped = wp.vec2(wrap_coordinate(uv[0], extension), wrap_coordinate(uv[1], extension))

@@ -86,6 +86,8 @@ class Instance:
     """First entry in Geometry.mesh_faces for opaque_bvh's faces"""
     filtered_faces: int
     visibility: int
+    flipped: int
+    """1 where the transform mirrors (negative determinant)"""
     object_id: int
     pass_index: int
     random: float
@@ -93,8 +95,8 @@ class Instance:
     color: wp.vec4
     generated_location: wp.vec3
     generated_size: wp.vec3
-    flipped: int
-    """1 where the transform mirrors (negative determinant)"""
+    padding: wp.uint64
+    """Rows of a multiple of 16 bytes, see wide_loads.py"""
 
 
 @wp.struct
@@ -129,8 +131,8 @@ class Geometry:
     """Material slot per triangle"""
     positions: wp.array[wp.vec3]
     """Object space"""
-    normals: wp.array[wp.vec3]
-    """Object space, 3 a triangle"""
+    corners: wp.array[wp.vec4]
+    """Object space, 6 a triangle: its vertices' positions, the first one's w the material slot, then its normals"""
     uvs: wp.array[wp.vec2]
     """All UV maps one after another, 3 entries a triangle"""
     uv_offsets: wp.array2d[int]
@@ -188,6 +190,8 @@ class TextureInfo:
     """1: decode the sRGB transfer function after filtering"""
     alpha: int
     """ALPHA_* in texture.py: how colour and alpha relate in the stored texels"""
+    padding: int
+    """Rows of a multiple of 16 bytes, see wide_loads.py"""
 
 
 @wp.struct

@@ -16,11 +16,11 @@ from .reference import FilmBuffers
 
 __all__ = ["SETTLING", "TURN", "RestBlend"]
 
-SETTLING = 16
+SETTLING = 8
 """Frames at rest before the first path-traced sample: light has spread by then, and a camera that stops for a moment
 costs nothing"""
 TURN = 8
-"""Frames, then samples, that follow one another where several are asked for at once: samples are faster in batches"""
+"""Samples, then frames, that follow one another where several are asked for at once: samples are faster in batches"""
 BANDS = 6
 """Of the a-trous transform: the widest kernel reaches 63 pixels to each side"""
 

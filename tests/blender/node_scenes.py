@@ -221,7 +221,10 @@ class Harness:
         geometry.instances = wp.array(instance, dtype=Instance, device="cpu")
         geometry.triangles = wp.array(corners, dtype=wp.vec3i, device="cpu")
         geometry.positions = wp.array([v.co[:] for v in mesh.vertices], dtype=wp.vec3, device="cpu")
-        geometry.normals = wp.array([[0.0, 0.0, 1.0]] * 6, dtype=wp.vec3, device="cpu")
+        rows = np.zeros((len(corners), 6, 4), np.float32)
+        rows[:, :3, :3] = np.array([v.co[:] for v in mesh.vertices])[corners]
+        rows[:, 3:, 2] = 1.0
+        geometry.corners = wp.array(rows.reshape(-1, 4), dtype=wp.vec4, device="cpu")
         uvs = np.zeros(8, np.float32)
         mesh.uv_layers[0].uv.foreach_get("vector", uvs)
         geometry.uvs = wp.array(uvs.reshape(4, 2)[corners].reshape(6, 2), dtype=wp.vec2, device="cpu")

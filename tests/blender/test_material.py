@@ -44,6 +44,15 @@ def compared(run_nodes: Callable) -> dict[str, dict]:
     return run_nodes(f"finish({{{pairs}}})")
 
 
+@pytest.fixture(scope="module")
+def found(run_nodes: Callable) -> dict:
+    """Return everything else that tests look at, from one child process, each with a harness of its own."""
+    pairs = ", ".join(f"{name!r}: {name}(Harness())" for name in (
+        "compare_worlds", "principled_closure", "material_flags", "report_of_everything", "lamp_factors",
+        "oversized_material"))
+    return run_nodes(f"finish({{{pairs}}})")
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_agree_with_cycles(compared: dict[str, dict], family: str):
     """Yield Cycles' value within 1/255 at every pixel of a plane, graph by graph."""
@@ -52,18 +61,18 @@ def test_agree_with_cycles(compared: dict[str, dict], family: str):
     assert not wrong, wrong
 
 
-def test_worlds_agree_with_cycles(run_nodes: Callable):
+def test_worlds_agree_with_cycles(found: dict):
     """Show Cycles' panorama within 1/255, and know which worlds are constant."""
-    found = run_nodes("finish(compare_worlds(harness))")
-    assert {name: world["outliers"] for name, world in found.items() if world["outliers"] > OUTLIERS} == {}
-    assert found["plain color"]["constant"] == pytest.approx([0.15, 0.3, 0.45])
-    assert found["panorama"]["constant"] is None and found["panorama"]["resolution"] == 512
-    assert found["nothing"]["constant"] == [0.0, 0.0, 0.0]
+    worlds = found["compare_worlds"]
+    assert {name: world["outliers"] for name, world in worlds.items() if world["outliers"] > OUTLIERS} == {}
+    assert worlds["plain color"]["constant"] == pytest.approx([0.15, 0.3, 0.45])
+    assert worlds["panorama"]["constant"] is None and worlds["panorama"]["resolution"] == 512
+    assert worlds["nothing"]["constant"] == [0.0, 0.0, 0.0]
 
 
-def test_principled_sockets(run_nodes: Callable):
+def test_principled_sockets(found: dict):
     """Hand every socket of the Principled BSDF over, linked or not."""
-    closure = run_nodes("finish(principled_closure(harness))")
+    closure = found["principled_closure"]
     assert closure["kind"] == 1 and closure["multiscatter"] == 0
     assert closure["color"] == pytest.approx([0.1, 0.2, 0.3])
     expected = {
@@ -93,31 +102,25 @@ def test_principled_sockets(run_nodes: Callable):
     ("muted", (False, False, None)),
     ("group", (False, True, [3.0, 3.0, 3.0])),
 ])
-def test_flags(flags_found: dict, graph: str, flags: tuple):
+def test_flags(found: dict, graph: str, flags: tuple):
     """Set transparency and emission exactly as the graph can show them."""
-    transparency, emission, constant = flags_found[graph]
+    transparency, emission, constant = found["material_flags"][graph]
     assert (transparency, emission) == flags[:2]
     assert constant == (None if flags[2] is None else pytest.approx(flags[2]))
 
 
-@pytest.fixture(scope="module")
-def flags_found(run_nodes: Callable) -> dict:
-    """Return the flags of all graphs of `flag_graphs`, from one child process."""
-    return run_nodes("finish(material_flags(harness))")
-
-
-def test_report_names_what_is_not_drawn(run_nodes: Callable):
+def test_report_names_what_is_not_drawn(found: dict):
     """Name material and node of everything that is approximated, and never fail."""
-    text = run_nodes("finish(report_of_everything(harness))")
+    text = found["report_of_everything"]
     for words in ("subsurface", "Voronoi", "Wireframe", "volume", "toon", "thin film", "Light Path"):
         assert words in text, words
     assert "material 'Everything'" in text
     assert "could not be read" not in text
 
 
-def test_lamp_factor(run_nodes: Callable):
+def test_lamp_factor(found: dict):
     """Reduce lamps' node trees to a factor, and say where that is not exact."""
-    plain, strong, falloff, textured, text = run_nodes("finish(lamp_factors(harness))")
+    plain, strong, falloff, textured, text = found["lamp_factors"]
     assert plain == [1.0, 1.0, 1.0]
     assert strong == pytest.approx([6.0, 3.0, 1.5])
     assert falloff == pytest.approx([10.0, 5.0, 2.5])
@@ -125,8 +128,8 @@ def test_lamp_factor(run_nodes: Callable):
     assert "linear falloff" in text and "image" in text
 
 
-def test_large_trees_fall_back(run_nodes: Callable):
+def test_large_trees_fall_back(found: dict):
     """Draw a material in its viewport color where its tree exceeds the machine, and say so."""
-    kind, color, text = run_nodes("finish(oversized_material(harness))")
+    kind, color, text = found["oversized_material"]
     assert kind == 2 and color == pytest.approx([0.2, 0.3, 0.4])
     assert "too large" in text

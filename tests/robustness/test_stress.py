@@ -6,7 +6,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections import Counter
 
+import hypothesis
 import numpy as np
 import pytest
 from burnish.addon import cli
@@ -16,6 +18,7 @@ from burnish.engine.errors import InvalidScene
 from burnish.engine.settings import Device, Integrator
 from burnish.engine.stress import cases, fuzz, scenes, tables
 from burnish.engine.stress.cases import Case, Trial, run_case
+from hypothesis import strategies
 
 SIZE = (16, 12)
 ALL = stress.all_cases()
@@ -32,7 +35,17 @@ def trial(device):
     made.forget_sessions()
 
 
-@pytest.mark.parametrize("case", [case for case in QUICK if case.group != "random"], ids=lambda case: case.name)
+def quick_cases():
+    """Return the cases as parameters: the first of each subject and every third after it, the others marked slow."""
+    seen = Counter()
+    for case in QUICK:
+        if case.group == "random":
+            continue
+        yield pytest.param(case, id=case.name, marks=pytest.mark.slow if seen[case.group] % 3 else ())
+        seen[case.group] += 1
+
+
+@pytest.mark.parametrize("case", list(quick_cases()))
 def test_quick_case(trial, case):
     """Meet the goal of each case of the quick subset."""
     result = run_case(trial, case)
@@ -42,8 +55,6 @@ def test_quick_case(trial, case):
 
 def test_random_scenes(trial):
     """Render random scenes, drawn by Hypothesis, without a bad pixel and without raising anything but sentences."""
-    hypothesis = pytest.importorskip("hypothesis")
-    strategies = hypothesis.strategies
     health = hypothesis.HealthCheck
 
     @hypothesis.settings(max_examples=RANDOM, deadline=None, derandomize=True, database=None,

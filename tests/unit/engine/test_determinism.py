@@ -14,6 +14,7 @@ from burnish.engine.session import Session
 from burnish.engine.settings import (
     CacheSettings,
     Change,
+    Device,
     Integrator,
     PerformanceSettings,
     SamplingSettings,
@@ -80,7 +81,7 @@ def with_option(deterministic, settings=REALTIME):
 @pytest.mark.parametrize("integrator", [Integrator.REALTIME, Integrator.REFERENCE])
 def test_any_number_of_threads_gives_the_same_bits(monkeypatch, integrator):
     """Render in motion and at rest with one, two and three threads on the processor."""
-    settings = replace(REALTIME, sampling=SamplingSettings(integrator=integrator))
+    settings = replace(REALTIME, device=Device.CPU, sampling=SamplingSettings(integrator=integrator))
     pictures = []
     for threads in (1, 2, 3):
         for module in ("device", "frame_graph"):
@@ -136,16 +137,15 @@ def test_option_costs_nothing_on_the_processor():
     """Launch no more kernels with the option where it is of no use."""
     launches = {}
     for deterministic in (True, False):
-        settings = with_option(deterministic)
+        settings = with_option(deterministic, replace(REALTIME, device=Device.CPU))
         made = Session(settings)
         made.update(room())
         made.configure(settings, camera(0.0), *SIZE)
         made.step(1)
         graph = made._realtime.pipeline._graphs[0, False][0]
         launches[deterministic] = [step.kernel for step in graph._steps]
-    claims = {name for name in launches[True] if name.startswith("claim_")} - {"claim_tiles", "claim_other_surfaces"}
-    assert bool(claims) == (made.device != "cpu")
-    assert launches[False] == [name for name in launches[True] if name not in claims | {"settle_cells"}]
+    assert len(launches[True]) > 40
+    assert launches[True] == launches[False]
 
 
 @wp.kernel

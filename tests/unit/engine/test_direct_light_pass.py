@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tests of the direct light pass: its mean against the path tracer, for every light, with and without each saving."""
 
+import functools
+
 import numpy as np
 import pytest
 from burnish.engine.program import ProgramBuilder
@@ -71,39 +73,63 @@ def lit(name):
 LIGHTS = ("point", "spot", "area", "sun", "sun and point", "emitter", "textured emitter and lamp", "world", "many")
 
 
-@pytest.mark.parametrize("light", LIGHTS)
-def test_mean_is_that_of_the_path_tracer(light):
+
+
+def savings(lights, thorough):
+    """Return pairs of a light and a name of SETTINGS: the default and without savings, all of them for one light."""
+    return [pytest.param(light, name, marks=() if light == thorough or name in ("plain", "both") else pytest.mark.slow)
+            for light in lights for name in SETTINGS]
+
+
+@functools.cache
+def plane_truth(light):
+    """Return the path tracer's mean of a scene, [3]."""
+    return reference(lit(light), CAMERA, samples=2048).mean((0, 1))
+
+
+@pytest.mark.parametrize(("light", "name"), savings(LIGHTS, "many"))
+def test_mean_is_that_of_the_path_tracer(light, name):
     """Give the path tracer's direct light on average, whether or not samples and shadow rays are shared."""
-    delta = lit(light)
-    expected = reference(delta, CAMERA, samples=2048)
-    for name, settings in SETTINGS.items():
-        mean = Frames(delta, CAMERA, **settings).mean(1024)
-        # The standard error is 0.5 % where lamps are textured, elsewhere half of it.
-        rtol = 0.02 if "textured" in light else 0.01
-        np.testing.assert_allclose(mean.mean((0, 1)), expected.mean((0, 1)), rtol=rtol, err_msg=name)
+    mean = Frames(lit(light), CAMERA, **SETTINGS[name]).mean(1024)
+    # The standard error is 0.5 % where lamps are textured, elsewhere half of it.
+    np.testing.assert_allclose(mean.mean((0, 1)), plane_truth(light), rtol=0.02 if "textured" in light else 0.01)
 
 
-@pytest.mark.parametrize("light", ["area", "emitter", "many"])
-def test_glossy_surface(light):
-    """Give the path tracer's highlight on average at roughness 0.3."""
+def glossy(light):
+    """Make a glossy plane under a light, and its camera."""
     delta = lit(light)
     delta.materials["grey"] = GLOSSY["grey"]
-    camera = scenes.camera_above(height=1.0, half=0.5, orthographic=False)
-    expected = reference(delta, camera, samples=4096)
-    for name, settings in SETTINGS.items():
-        mean = Frames(delta, camera, **settings).mean(1024)
-        # Three standard errors; a single candidate and samples taken over from frame to frame have more noise.
-        rtol = 0.015 if name in ("plain", "half rate") else 0.03
-        np.testing.assert_allclose(mean.mean(), expected.mean(), rtol=rtol, err_msg=name)
+    return delta, scenes.camera_above(height=1.0, half=0.5, orthographic=False)
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-def test_shadows(name):
-    """Keep shadow and penumbra of two lamps behind a square in place and in strength."""
+@functools.cache
+def glossy_truth(light):
+    """Return the path tracer's mean of a glossy plane."""
+    return reference(*glossy(light), samples=4096).mean()
+
+
+@pytest.mark.parametrize(("light", "name"), savings(("area", "emitter", "many"), "many"))
+def test_glossy_surface(light, name):
+    """Give the path tracer's highlight on average at roughness 0.3."""
+    mean = Frames(*glossy(light), **SETTINGS[name]).mean(1024)
+    # Three standard errors; a single candidate and samples taken over from frame to frame have more noise.
+    np.testing.assert_allclose(
+        mean.mean(), glossy_truth(light), rtol=0.015 if name in ("plain", "half rate") else 0.03)
+
+
+@pytest.fixture(scope="module")
+def blocked():
+    """Return a scene of two lamps behind a square, and the path tracer's picture."""
     lamps = [scenes.lamp("POINT", 60.0, scenes.place(x=-0.8, z=2.0), radius=0.2),
              scenes.lamp("POINT", 30.0, scenes.place(x=0.9, z=1.8), radius=0.1)]
     delta = plane(lamps, meshes={"blocker": scenes.quad(0.3)}, objects=[("blocker", scenes.place(z=1.05), "grey")])
-    expected = reference(delta, CAMERA, 16, 4096)
+    return delta, reference(delta, CAMERA, 16, 4096)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_shadows(blocked, name):
+    """Keep shadow and penumbra of two lamps behind a square in place and in strength."""
+    delta, expected = blocked
     mean = Frames(delta, CAMERA, 16, **SETTINGS[name]).mean(512)
     np.testing.assert_allclose(mean.mean(), expected.mean(), rtol=0.01)
     # Means of 4x4 pixels: single ones keep some noise.

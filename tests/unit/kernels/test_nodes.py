@@ -66,7 +66,8 @@ def make_scene(device: str, builder: ProgramBuilder | None = None, world: Progra
     geometry.instances = wp.array(row, dtype=Instance, device=device)
     geometry.triangles = wp.array([[0, 1, 2]], dtype=wp.vec3i, device=device)
     geometry.positions = wp.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]], dtype=wp.vec3, device=device)
-    geometry.normals = wp.array([[0.0, 0.0, 1.0]] * 3, dtype=wp.vec3, device=device)
+    corners = [[0, 0, 0, 0], [2, 0, 0, 0], [0, 2, 0, 0]] + [[0, 0, 1, 0]] * 3
+    geometry.corners = wp.array(corners, dtype=wp.vec4, device=device)
     geometry.uvs = wp.array([[0, 0], [4, 0], [0, 4]], dtype=wp.vec2, device=device)
     geometry.uv_offsets = wp.array([[0] * max(len(uv_maps), 1)], dtype=int, device=device)
     geometry.attributes = wp.array([[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 0, 1]], dtype=wp.vec4, device=device)

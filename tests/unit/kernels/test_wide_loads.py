@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests of kernels/wide_loads.py: loads by pieces return what loads by name do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.kernels.types import Geometry, Instance, Material, TextureInfo
+from burnish.kernels.view import View
+from burnish.kernels.wide_loads import (
+    load_corner,
+    load_instance,
+    load_material_flags,
+    load_normal,
+    load_slot,
+    load_texture_info,
+    load_vec2,
+    load_vec4h,
+    load_vec4us,
+    load_view,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+COUNT = 5
+
+
+@wp.kernel
+def copy_rows(
+    instances: wp.array[Instance], views: wp.array[View], infos: wp.array[TextureInfo],
+    materials: wp.array[Material], instances_out: wp.array[Instance], views_out: wp.array[View],
+    infos_out: wp.array[TextureInfo], flags_out: wp.array[wp.vec4i],
+):
+    """Copy rows by the loads under test."""
+    i = wp.tid()
+    instances_out[i] = load_instance(instances, i)
+    infos_out[i] = load_texture_info(infos, i)
+    flags_out[i] = load_material_flags(materials, i)
+    if i == 0:
+        views_out[0] = load_view(views)
+
+
+@wp.kernel
+def copy_vectors(
+    geometry: Geometry, halves: wp.array[wp.vec4h], shorts: wp.array[wp.vec4us], halves_out: wp.array[wp.vec4h],
+    shorts_out: wp.array[wp.vec4us], uvs_out: wp.array[wp.vec2], corners_out: wp.array[wp.vec3],
+    slots_out: wp.array[int],
+):
+    """Copy vectors by the loads under test."""
+    i = wp.tid()
+    halves_out[i] = load_vec4h(halves, i)
+    shorts_out[i] = load_vec4us(shorts, i)
+    uvs_out[i] = load_vec2(geometry.uvs, i)
+    slots_out[i] = load_slot(geometry, i)
+    for k in range(3):
+        corners_out[6 * i + k] = load_corner(geometry, i, k)
+        corners_out[6 * i + 3 + k] = load_normal(geometry, i, k)
+
+
+def _random_rows(dtype: type, count: int) -> np.ndarray:
+    """Return rows of small numbers, different ones in all words."""
+    kind = np.dtype(dtype.numpy_dtype())
+    return np.arange(1, count * kind.itemsize // 4 + 1, dtype=np.int32).view(kind)
+
+
+def _fields(value: np.ndarray, names: list[str]) -> dict[str, bytes]:
+    return {name: np.ascontiguousarray(value[name]).tobytes() for name in names}
+
+
+@pytest.mark.parametrize("struct", [Instance, Material, TextureInfo])
+def test_rows_are_whole_pieces(struct: type) -> None:
+    """Arrays of structs that are loaded by pieces begin each row at a piece."""
+    assert np.dtype(struct.numpy_dtype()).itemsize % 16 == 0
+
+
+@pytest.mark.parametrize("device", ["cpu", *(["cuda:0"] if wp.get_cuda_device_count() else [])])
+def test_structs(device: str) -> None:
+    """Each field that a load promises holds what its name holds in the array."""
+    rows = {struct: _random_rows(struct, 1 if struct is View else COUNT)
+            for struct in (Instance, View, TextureInfo, Material)}
+    # Affine matrices: their last rows are not loaded.
+    for name in ("to_world", "to_object"):
+        rows[Instance][name][:, 3] = (0.0, 0.0, 0.0, 1.0)
+    for name in ("camera_to_world", "world_to_camera"):
+        rows[View]["camera"][name][:, 3] = (0.0, 0.0, 0.0, 1.0)
+    sources = [wp.array(values, dtype=struct, device=device) for struct, values in rows.items()]
+    outs = [wp.zeros(len(rows[s]), dtype=s, device=device) for s in (Instance, View, TextureInfo)]
+    flags = wp.zeros(COUNT, dtype=wp.vec4i, device=device)
+    wp.launch(copy_rows, COUNT, [*sources, *outs, flags], device=device)
+    instances, views, infos = (out.numpy() for out in outs)
+    names = ["to_world", "to_object", "mesh", "triangle_offset", "material_offset", "material_count", "opaque_bvh",
+             "filtered_bvh", "opaque_faces", "filtered_faces", "visibility", "flipped"]
+    assert _fields(instances, names) == _fields(rows[Instance], names)
+    names = ["width", "height", "levels", "offset", "format", "srgb", "alpha"]
+    assert _fields(infos, names) == _fields(rows[TextureInfo], names)
+    names = ["jitter", "previous_jitter", "frame", "rest", "light_age", "restart", "exposure", "transparent"]
+    assert _fields(views, names) == _fields(rows[View], names)
+    names = ["camera_to_world", "world_to_camera", "window", "orthographic", "clip_start", "clip_end", "width",
+             "height", "crop_x", "crop_y", "crop_width", "crop_height", "sample", "seed", "spread", "pixel_size"]
+    assert _fields(views["camera"], names) == _fields(rows[View]["camera"], names)
+    starts = ("surface_start", "transparency_start", "emission_start", "flags")
+    assert (flags.numpy() == np.stack([rows[Material][name] for name in starts], 1)).all()
+
+
+@pytest.mark.parametrize("device", ["cpu", *(["cuda:0"] if wp.get_cuda_device_count() else [])])
+def test_vectors(device: str) -> None:
+    """Vectors and the parts of a triangle's corners arrive as they were stored."""
+    random = np.random.default_rng(1)
+    halves = random.normal(size=(COUNT, 4)).astype(np.float16)
+    shorts = random.integers(0, 65536, (COUNT, 4)).astype(np.uint16)
+    uvs = random.normal(size=(COUNT, 2)).astype(np.float32)
+    corners = random.normal(size=(COUNT, 6, 4)).astype(np.float32)
+    corners[:, 0, 3] = np.arange(COUNT)
+    geometry = Geometry()
+    geometry.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    geometry.corners = wp.array(corners.reshape(-1, 4), dtype=wp.vec4, device=device)
+    outs = [wp.zeros(count, dtype=dtype, device=device) for count, dtype in (
+        (COUNT, wp.vec4h), (COUNT, wp.vec4us), (COUNT, wp.vec2), (6 * COUNT, wp.vec3), (COUNT, int))]
+    wp.launch(copy_vectors, COUNT, [
+        geometry, wp.array(halves, dtype=wp.vec4h, device=device), wp.array(shorts, dtype=wp.vec4us, device=device),
+        *outs], device=device)
+    expected = (halves, shorts, uvs, corners.reshape(-1, 4)[:, :3], np.arange(COUNT))
+    for out, values in zip(outs, expected, strict=True):
+        assert (out.numpy() == values).all()
