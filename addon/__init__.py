@@ -6,7 +6,10 @@ Imports happen inside the functions, so that importing the package (for `burnish
 
 from __future__ import annotations
 
-__all__ = ["register", "unregister"]
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+__all__ = ["register", "registered", "unregister"]
 
 
 def register() -> None:
@@ -31,3 +34,17 @@ def unregister() -> None:
     render_engine.unregister()
     preferences.unregister()
     ui.unregister()
+
+
+@contextmanager
+def registered(in_blender: bool) -> Iterator[None]:
+    """Have the add-on registered inside; in a Blender where it is that changes nothing."""
+    if in_blender:
+        yield
+        return
+    register()
+    try:
+        yield
+    finally:
+        # Blender may hang or crash at exit while a Python RenderEngine that has rendered is registered.
+        unregister()

@@ -23,9 +23,10 @@ from ..engine.errors import BurnishError
 from ..engine.frame_measure import Measurement, there_and_back
 from ..engine.image_error import ImageError, compare
 from ..engine.variants import DEFAULT, VARIANTS, variant_settings
+from . import registered
 from .bench_plots import new_figure
 from .cli_output import Console, diverted_output
-from .measured_scene import MeasuredScene, open_measured, registered
+from .measured_scene import MeasuredScene, open_measured
 from .scaling import machine_facts
 
 __all__ = ["run"]

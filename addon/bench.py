@@ -18,6 +18,7 @@ import numpy as np
 from ..engine import image_error
 from ..engine.errors import BurnishError
 from ..engine.read import read_exr
+from . import registered
 from .bench_modes import add_arguments as add_modes
 from .bench_modes import run_mode
 from .bench_plan import BUDGETS, CLOCKS
@@ -131,17 +132,9 @@ def run(arguments: argparse.Namespace) -> int:
     if other is not None:
         return other
     check(arguments)
-    with diverted_output(show_all=arguments.show_all) as console:
-        if getattr(arguments, "in_blender", False):
-            return measure_all(arguments, console)
-        from . import register, unregister
-
-        register()
-        try:
-            return measure_all(arguments, console)
-        finally:
-            # Blender may hang or crash at exit while a Python RenderEngine that has rendered is registered.
-            unregister()
+    with (diverted_output(show_all=arguments.show_all) as console,
+          registered(getattr(arguments, "in_blender", False))):
+        return measure_all(arguments, console)
 
 
 def measure_all(arguments: argparse.Namespace, console: Console) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 from ..engine.errors import BurnishError, InvalidScene
 from ..engine.settings import SamplingSettings, setting_info
 from ..engine.write import LayerPixels, PassPixels, complete_file, write_exr
-from . import final, passes
+from . import final, passes, registered
 from .cli_output import Console
 
 __all__ = ["run"]
@@ -30,16 +30,8 @@ LARGEST_RESOLUTION = 65536
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Render and save; prints `FILE 640x360 64 samples 12.3 s` last. Raises BurnishError."""
     source, target = Path(arguments.scene), Path(arguments.output)
-    if arguments.in_blender:
+    with registered(arguments.in_blender):
         return render_file(source, target, arguments, console)
-    from . import register, unregister
-
-    register()
-    try:
-        return render_file(source, target, arguments, console)
-    finally:
-        # Blender may hang or crash at exit while a Python RenderEngine that has rendered is registered.
-        unregister()
 
 
 def render_file(source: Path, target: Path, arguments: argparse.Namespace, console: Console) -> int:

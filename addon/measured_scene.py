@@ -4,38 +4,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from ..engine.camera_flight import fly
+from ..engine.camera_flight import fly_over
 from ..engine.errors import BurnishError
 from ..engine.scene import CameraData
 from ..engine.session import Session
 from ..engine.settings import Integrator, RenderSettings
 
-__all__ = ["MeasuredScene", "open_measured", "registered"]
+__all__ = ["MeasuredScene", "open_measured"]
 
 PLAN_SHRINK = 4
 """The flight is planned on a picture smaller by this factor"""
-
-
-@contextmanager
-def registered(in_blender: bool) -> Iterator[None]:
-    """Have the add-on registered inside; in a Blender where it is that changes nothing."""
-    if in_blender:
-        yield
-        return
-    from . import register, unregister
-
-    register()
-    try:
-        yield
-    finally:
-        # Blender may hang or crash at exit while a Python RenderEngine that has rendered is registered.
-        unregister()
 
 
 @dataclasses.dataclass
@@ -55,11 +37,7 @@ class MeasuredScene:
         small = max(size[0] // PLAN_SHRINK, 1), max(size[1] // PLAN_SHRINK, 1)
         self.session.configure(self.settings, self.camera, *small, passes=("Combined", "Position"))
         positions = self.session.read("Position").astype(np.float64)
-        matrix = np.array(self.camera.transform).reshape(4, 4)
-        seen = positions.any(-1)
-        depth = -((positions[seen] - matrix[:3, 3]) @ matrix[:3, 2])
-        near, middle = np.percentile(depth, (2, 50)) if depth.size else (1.0, 1.0)
-        return fly(self.camera, near=float(near), middle=float(middle), count=count)
+        return fly_over(self.camera, positions, count)
 
     def truth(self, camera: CameraData, size: tuple[int, int], samples: int, seconds: float) -> np.ndarray:
         """Return the path tracer's picture [h, w, 3], bottom row first, of so many samples or after so many seconds."""

@@ -15,9 +15,10 @@ from ..engine.device import choose_device
 from ..engine.errors import BurnishError
 from ..engine.frame_measure import measure_frames
 from ..engine.frame_profile import FrameProfile, PassProfile, profile_frame
+from . import registered
 from .bench_plots import new_figure
 from .cli_output import Console, diverted_output
-from .measured_scene import open_measured, registered
+from .measured_scene import open_measured
 from .scaling import machine_facts
 
 __all__ = ["run"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from .scene import CameraData
 
-__all__ = ["fly"]
+__all__ = ["fly", "fly_over"]
 
 PAN = np.radians(24.0)
 """Over the whole flight"""
@@ -37,3 +37,18 @@ def fly(camera: CameraData, *, near: float, middle: float, count: int) -> list[C
         matrix[:3, 3] += way * share * (-start[:3, 2] + 0.5 * start[:3, 0])
         cameras.append(dataclasses.replace(camera, transform=tuple(matrix.ravel().tolist())))
     return cameras
+
+
+def fly_over(camera: CameraData, positions: np.ndarray, count: int) -> list[CameraData]:
+    """Return the cameras of `fly` with steps that are right for what is seen.
+
+    Args:
+        camera: Where the flight begins.
+        positions: World position of the surface in each pixel [h, w, 3]; 0 without a surface.
+        count: Frames.
+    """
+    start = np.array(camera.transform, float).reshape(4, 4)
+    seen = positions.any(-1)
+    depth = -((positions[seen] - start[:3, 3]) @ start[:3, 2])
+    near, middle = np.percentile(depth, (2, 50)) if depth.size else (1.0, 1.0)
+    return fly(camera, near=float(near), middle=float(middle), count=count)

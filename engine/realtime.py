@@ -46,6 +46,7 @@ class Realtime:
         self._light_passes: tuple[str, ...] = ()
         self._moved = self._lit = False
         self._blended = False
+        self._resolved: wp.array | None = None
 
     def configure(self, settings: RenderSettings, width: int, height: int, light_passes: tuple[str, ...]) -> None:
         """Allocate for settings and a size [px]; a change of either forgets all history.
@@ -93,6 +94,7 @@ class Realtime:
         self.reference.reset()
         self._blend.reset()
         self._blended = False
+        self._resolved = None
         if self._film is not None:
             self._film.clear()
 
@@ -107,6 +109,7 @@ class Realtime:
     ) -> None:
         """Render up to `samples` frames, or path-traced samples of a picture at rest."""
         target = self.samples_done + samples
+        self._resolved = None
         while self.samples_done < target and not should_stop():
             turn = self._samples_due()
             if turn:
@@ -154,17 +157,24 @@ class Realtime:
 
     def picture(self) -> wp.array:
         """Return the newest picture: vec4 [h * w], as the film shows it."""
-        if self._blended and self.reference.samples_done > 0:
-            blend = self._blend.resolve(self._film, self.pipeline.picture, self._settings.film.transparent)
-            return self._blend.show_weight() if self._settings.debug.view else blend
-        return self.pipeline.picture
+        blend = self._newest_blend()
+        if blend is None:
+            return self.pipeline.picture
+        return self._blend.show_weight() if self._settings.debug.view else blend
 
     def light_pass(self, name: str) -> wp.array:
         """Return one of LIGHT_PASSES as the newest picture has it: vec3 [h * w], exposed."""
         light = self.pipeline.light_pass(name)
-        if name.endswith(" Color") or self.picture() is self.pipeline.picture:
+        if name.endswith(" Color") or self._newest_blend() is None:
             return light
         return self._blend.scale_light(self.pipeline.picture, light)
+
+    def _newest_blend(self) -> wp.array | None:
+        """Return frames and samples as one picture, made once after each step; None without samples."""
+        if self._resolved is None and self._blended and self.reference.samples_done > 0:
+            self._resolved = self._blend.resolve(
+                self._film, self.pipeline.picture, self._settings.film.transparent)
+        return self._resolved
 
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:

@@ -10,7 +10,7 @@ import warp as wp
 
 from .flat_tracing import any_flat, closest_flat, closest_flat_layer
 from .intersect import MISS
-from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
+from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -68,8 +68,7 @@ def trace_flat_path_shadows(
             paths_out.shadow_distance[path] = 0.0
             return
     if options.filtered == 0 and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
-        paths_out.shadow_distance[path] = 0.0
+        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -91,5 +90,4 @@ def trace_flat_path_shadow_layers(
         scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
     store_layer(paths_out, path, hit)
     if hit.instance == MISS and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
-        paths_out.shadow_distance[path] = 0.0
+        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])

@@ -12,7 +12,7 @@ import warp as wp
 
 from .gbuffer_rays import PrimaryHits, primary_ray
 from .intersect import MISS, Hit, any_static, closest_static
-from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
+from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
 from .pixel_order import pixel_in_blocks
 from .types import Geometry, Scene
 from .view import View
@@ -211,5 +211,4 @@ def trace_flat_shadow_layers(
         scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
     store_layer(paths_out, slot, hit)
     if hit.instance == MISS and paths_out.shadow_pending[slot] == PENDING_NONE:
-        add_light(paths_out, slot, paths_out.shadow_light[slot], limit_at(options, bounce + 1))
-        paths_out.shadow_distance[slot] = 0.0
+        add_shadow_light(paths_out, options, bounce, slot, paths_out.shadow_light[slot])

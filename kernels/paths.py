@@ -119,6 +119,13 @@ def limit_at(options: Options, bounce: int) -> float:
 
 
 @wp.func
+def add_shadow_light(paths: Paths, options: Options, bounce: int, path: int, light: wp.vec3):
+    """Add the light of a shadow ray that got through, and end the ray."""
+    add_light(paths, path, light, limit_at(options, bounce + 1))
+    paths.shadow_distance[path] = 0.0
+
+
+@wp.func
 def make_hit(t: float, ids: wp.vec2i, barycentrics: wp.vec2) -> Hit:
     """Return a hit from the form in which states keep it: distance, (instance, triangle), weights."""
     hit = Hit()

@@ -8,7 +8,7 @@ import warp as wp
 from .filter import transmittance
 from .geometry_math import max_component
 from .intersect import MISS
-from .paths import PENDING_NONE, Options, Paths, add_light, limit_at, load_layer
+from .paths import PENDING_NONE, Options, Paths, add_shadow_light, load_layer
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -20,8 +20,7 @@ def add_weakened(options: Options, bounce: int, paths: Paths, path: int, light: 
     if not max_component(light) > 0.0:
         paths.shadow_distance[path] = 0.0
     elif paths.shadow_pending[path] == PENDING_NONE:
-        paths.shadow_distance[path] = 0.0
-        add_light(paths, path, light, limit_at(options, bounce + 1))
+        add_shadow_light(paths, options, bounce, path, light)
     else:
         paths.shadow_light[path] = light
 

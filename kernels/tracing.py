@@ -10,7 +10,7 @@ import warp as wp
 
 from .camera import camera_ray, filter_offset
 from .intersect import MISS, any_hit, closest_filtered_hit, closest_hit
-from .paths import ENDED, PENDING_NONE, Options, Paths, add_light, limit_at, load_hit, store_hit, store_layer
+from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
 from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
 from .types import VISIBLE_CAMERA, FrameData, Scene
 
@@ -111,8 +111,7 @@ def trace_shadows(
             paths_out.shadow_distance[path] = 0.0
             return
     if options.filtered == 0 and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
-        paths_out.shadow_distance[path] = 0.0
+        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])
 
 
 @wp.kernel
@@ -134,5 +133,4 @@ def trace_shadow_layers(
         scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
     store_layer(paths_out, path, hit)
     if hit.instance == MISS and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_light(paths_out, path, paths_out.shadow_light[path], limit_at(options, bounce + 1))
-        paths_out.shadow_distance[path] = 0.0
+        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])

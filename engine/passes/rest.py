@@ -109,5 +109,5 @@ class RestBlend:
 
     def show_weight(self) -> wp.array:
         """Return the last blend's weights as a picture on the device: vec4 [h * w]."""
-        launch(composite_debug.show_weight, self.width * self.height, [0, self.weight], [self._picture], self.device)
-        return self._picture
+        launch(composite_debug.show_weight, self.width * self.height, [0, self.weight], [self._kept], self.device)
+        return self._kept

@@ -1,26 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera flight made from a scene's camera, and pictures of one frame looked up from another by world positions."""
+"""A camera flight (engine/camera_flight.py), and pictures of one frame looked up from another by world positions."""
 
 from __future__ import annotations
 
 import numpy as np
-from burnish.engine.camera_flight import fly
+from burnish.engine.camera_flight import fly_over as flight
 from burnish.engine.scene import CameraData, CameraKind
-
-
-def flight(camera: CameraData, positions: np.ndarray, count: int) -> list[CameraData]:
-    """Return `count` cameras: a dolly forwards and to the right, and a pan to the left and back to the right.
-
-    Args:
-        camera: Where the flight begins.
-        positions: World position of the surface in each pixel [h, w, 3]; 0 without a surface.
-        count: Frames.
-    """
-    start = np.array(camera.transform).reshape(4, 4)
-    seen = positions.any(-1)
-    depth = -((positions[seen] - start[:3, 3]) @ start[:3, 2])
-    near, middle = np.percentile(depth, (2, 50)) if depth.size else (1.0, 1.0)
-    return fly(camera, near=float(near), middle=float(middle), count=count)
 
 
 def project(camera: CameraData, points: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

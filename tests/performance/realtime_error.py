@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 import numpy as np  # noqa: E402
-import OpenImageIO as oiio  # noqa: E402
 from burnish.engine.image_error import signed_difference  # noqa: E402
+from burnish.engine.read import read_exr  # noqa: E402
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
 from tests.performance.measured_session import (  # noqa: E402
@@ -47,12 +47,13 @@ def read_truth(file: Path, size: tuple[int, int]) -> np.ndarray:
     """Return a picture [h, w, 3] from an EXR, bottom row first.
 
     Raises:
-        ValueError: It is missing or has another size.
+        BurnishError: It can't be read.
+        ValueError: It has another size.
     """
-    picture = np.asarray(oiio.ImageBuf(str(file)).get_pixels(oiio.FLOAT), np.float32)[::-1, :, :3]
+    picture = read_exr(file)
     if picture.shape[:2] != (size[1], size[0]):
         raise ValueError(f"'{file}' is not a picture of {size[0]} x {size[1]} pixels")
-    return np.ascontiguousarray(picture)
+    return picture
 
 
 def measure(path: Path, matte: bool, options: argparse.Namespace, table: Table) -> None:
