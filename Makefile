@@ -47,8 +47,9 @@ setup:
 render: setup
 	@.venv/bin/burnish render "$(SCENE)" --output "$(OUTPUT)" $(RENDER_ARGUMENTS)
 
+# A process that crashes ends the run: what it still had to do would otherwise be waited for without end.
 test: setup
-	@$(PYTEST) -q -m "not slow and not window" -n $(JOBS) --dist loadfile $(TESTS)
+	@$(PYTEST) -q -m "not slow and not window" -n $(JOBS) --dist loadfile --max-worker-restart 0 $(TESTS)
 
 slow: setup
 	@$(PYTEST) -q -m "slow and not window" $(TESTS)

@@ -21,6 +21,8 @@ COORDINATE_LIMIT = 1e9
 """Largest coordinate drawn [m]: beyond it float32 resolves no less than 64 m"""
 
 _BLOCK = 1 << 14
+# Kernels read slots beside positions, as float32, which holds the numbers up to here (Blender's limit is 32,767).
+_SLOT_MAX = (1 << 24) - 1
 # A shading normal is unit length; this only tells a zero vector from one that Blender rounded.
 _NORMAL_LENGTH_SQUARED_MIN = 1e-6
 
@@ -51,7 +53,7 @@ class SanitizeCounts:
 def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     """Return the drawable part of `mesh` and the counts of what was wrong; the argument stays as it is.
 
-    Slots below 0 become the first. Vertices are kept even where no triangle uses them any more, but those that
+    Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses them any more, but those that
     aren't finite become the origin, so that bounds made from them are finite.
     """
     triangles, positions = mesh.triangles, mesh.positions
@@ -60,8 +62,8 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
         mesh = _take_triangles(mesh, keep)
     if counts.non_finite or counts.too_far:
         mesh = replace(mesh, positions=_finite_positions(positions))
-    if len(mesh.material_slots) and mesh.material_slots.min() < 0:
-        mesh = replace(mesh, material_slots=np.maximum(mesh.material_slots, 0))
+    if len(mesh.material_slots) and (mesh.material_slots.min() < 0 or mesh.material_slots.max() > _SLOT_MAX):
+        mesh = replace(mesh, material_slots=np.clip(mesh.material_slots, 0, _SLOT_MAX))
     normals, normal_count = _repair_normals(mesh)
     uv_maps, uv_count = _repair_arrays(mesh.uv_maps)
     attributes, attribute_count = _repair_arrays(mesh.attributes)

@@ -142,3 +142,14 @@ def test_a_million_triangles_take_a_moment():
     start = time.perf_counter()
     sanitize_mesh(mesh)
     assert time.perf_counter() - start < 1.0
+
+
+def test_slots_stay_in_a_range_that_float32_holds():
+    """Clip slots that no object can have: kernels read them as float32, and an overflow would index before an array."""
+    mesh = grid(3)
+    mesh.material_slots[:4] = (-(2**31), -1, 2**31 - 1, 2**24)
+    cleaned, counts = sanitize_mesh(mesh)
+    assert counts == SanitizeCounts(), "the surface stays as it is"
+    assert cleaned.material_slots[:2].tolist() == [0, 0] and cleaned.material_slots[4:].tolist() == [4, 5, 6, 7]
+    assert (cleaned.material_slots.astype(np.float32).astype(np.int64) == cleaned.material_slots).all()
+    assert (cleaned.material_slots[2:4] > 2**20).all()
