@@ -20,8 +20,8 @@ import numpy as np
 
 from ..engine.device import choose_device
 from ..engine.errors import BurnishError
-from ..engine.frame_measure import Measurement, there_and_back
 from ..engine.image_error import ImageError, compare
+from ..engine.measure_moving import MovingCamera, there_and_back
 from ..engine.variants import DEFAULT, VARIANTS, variant_settings
 from . import registered
 from .bench_plots import new_figure
@@ -164,15 +164,11 @@ class SceneAblation:
                 session.configure(settings, camera(number), *self.size)
                 session.step(1)
             errors["flight"] = self._pool.submit(compare, self.flight_truth, session.read("Combined")[..., :3])
-        flying = Measurement(session, settings, self.timed_cameras, self.time_size)
+        moving = MovingCamera(session, settings, self.timed_cameras, self.time_size)
         for _ in range(WARM_UP):
-            flying.frame()
-        start = time.perf_counter()
-        for _ in range(TIMED):
-            flying.issue()
-        flying.wait()
-        in_a_row = (time.perf_counter() - start) / TIMED * 1e3
-        singles = [flying.frame()[1] * 1e3 for _ in range(TIMED)]
+            moving.frame()
+        in_a_row = moving.in_a_row(TIMED)
+        singles = [moving.frame()[1] for _ in range(TIMED)]
         row = {"variant": name, "ms": float(np.median(singles)), "ms_in_a_row": in_a_row}
         self._found.append((row, errors))
 

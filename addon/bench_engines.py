@@ -238,7 +238,7 @@ class BenchScene:
         self.scene.render.engine = 'BURNISH'
         settings = self.scene.burnish
         settings.device = 'CUDA' if self.device.startswith("cuda") else 'CPU'
-        settings.sampling.integrator = 'REFERENCE' if job.engine == "reference" else 'REALTIME'
+        settings.sampling.integrator = 'REFERENCE' if job.engine.startswith("reference") else 'REALTIME'
         settings.sampling.samples, settings.sampling.time_limit = job.samples, 0.0
         settings.sampling.seed = job.seed
         settings.light_paths.clamp_direct = settings.light_paths.clamp_indirect = 0.0

@@ -23,12 +23,13 @@ from ..engine.measure import (
     View,
     frame_curve,
     frames_within,
-    moving_frames,
     progressive_shots,
     shoot,
 )
+from ..engine.measure_moving import measure_pan
+from ..engine.session import DENOISED
 from ..engine.settings import Integrator, RenderSettings
-from . import final
+from . import oidn
 from .bench_engines import BenchScene, KeptSession, kept_sessions, save_picture
 from .bench_plan import LONG
 from .bench_store import Job
@@ -82,20 +83,20 @@ class LiveScene:
             self._session = None
 
     def _select(self, *engines: str) -> list[Callable[[], np.ndarray]]:
-        """Set the session for engines of one integrator and return what ends each one's pictures."""
+        """Set the session for engines that share their samples and return what ends each one's pictures."""
         session = self.session
-        integrator = Integrator.REFERENCE if "reference" in engines else Integrator.REALTIME
+        integrator = Integrator.REFERENCE if engines[0].startswith("reference") else Integrator.REALTIME
         sampling = dataclasses.replace(self._settings.sampling, integrator=integrator)
         self.settings = dataclasses.replace(self._settings, sampling=sampling)
-        guides = final.GUIDES.get(integrator, ()) if any(engine.endswith("+oidn") for engine in engines) else ()
-        self.view = dataclasses.replace(self._view, passes=("Combined", *guides))
+        denoised = any(engine.endswith("+oidn") for engine in engines)
+        self.view = dataclasses.replace(self._view, passes=("Combined", *((DENOISED,) if denoised else ())))
         self.view.configure(session, self.settings)
 
         def read() -> np.ndarray:
             return session.read("Combined")[..., :3]
 
         def read_denoised() -> np.ndarray:
-            return final.denoise(session.read("Combined"), [session.read(name) for name in guides])[..., :3]
+            return oidn.denoise(session)[..., :3]
 
         return [read_denoised if engine.endswith("+oidn") else read for engine in engines]
 
@@ -106,7 +107,7 @@ class LiveScene:
         session.step(1)
         finish()
         denoiser = self.settings.denoiser
-        at_rest = denoiser.rest_frames + 2 if denoiser.path_traced_rest and engine != "reference" else 2
+        at_rest = denoiser.rest_frames + 2 if denoiser.path_traced_rest and engine == "realtime" else 2
         frame_curve(session, min(WARM_UP_SECONDS, CURVE_SHARE * max(longest, 0.1)),
                     lambda: self.stopped() or session.samples_done >= max(at_rest, TIMED_AT))
         self.check()
@@ -116,7 +117,7 @@ class LiveScene:
         self.check()
         facts = {"curve": curve, "finish": statistics.median(finishes), "device": session.device_name,
                  "per_frame": curve[-1][1] / curve[-1][0], "scene": self._scene_facts(),
-                 "frame_times": self._sections() if engine != "reference" else {}, "skipped": dict(session.skipped)}
+                 "frame_times": self._sections() if engine == "realtime" else {}, "skipped": dict(session.skipped)}
         self.facts[engine] = facts
         return facts
 
@@ -161,7 +162,7 @@ class LiveScene:
                     begin: Callable[[Job], None], done: Callable[[Job, dict[str, Any]], None]) -> None:
         """Render pictures at budgets above LONG as stops of one run; arguments as of `render_short`.
 
-        Engines of one integrator share the run: the plain one then also bears the passes that guide the denoiser.
+        All jobs must be of engines that share their samples: of one, or of the reference with and without denoiser.
         """
         engines = list(dict.fromkeys(job.engine for job in jobs))
         finishes = dict(zip(engines, self._select(*engines), strict=True))
@@ -216,7 +217,7 @@ class LiveScene:
                   "blender": bpy.app.version_string, "repetitions": times}
         if shot is None:
             first = statistics.median(times) if times else facts["curve"][0][1] + facts["finish"]
-            frame = "sample" if job.engine == "reference" else "frame"
+            frame = "frame" if job.engine == "realtime" else "sample"
             return {**record, "samples": 0, "seconds": None,
                     "no_picture": f"no picture: one {frame}, read back, takes {1e3 * first:.3g} ms"}
         save_picture(path, shot.picture)
@@ -228,11 +229,11 @@ class LiveScene:
     def render_moving(self, job: Job, path: Path) -> dict[str, Any]:
         """Render the frames of a pan that ends in the scene's view; return the last picture's record."""
         self._select("realtime")
-        moving = moving_frames(self.session, self.settings, self.view, MOVING_FRAMES, MOVING_SECONDS, self.stopped)
+        moving = measure_pan(self.session, self.settings, self.view, MOVING_FRAMES, MOVING_SECONDS, self.stopped)
         self.check()
         save_picture(path, moving.picture)
         return {"engine": job.engine, "clock": job.clock, "budget": 0.0, "samples": moving.frames, "seed": 0,
                 "device": self.session.device_name, "blender": bpy.app.version_string,
-                "seconds": moving.frame_seconds + moving.read_seconds,
-                "parts": {"device frames": moving.frame_seconds, "read-back": moving.read_seconds},
+                "seconds": (moving.frame + moving.read) / 1e3,
+                "parts": {"device frames": moving.frame / 1e3, "read-back": moving.read / 1e3},
                 "frame_times": moving.sections}

@@ -25,8 +25,8 @@ IN_TIME = 1.05
 CLOCK_TEXT = {
     "warm": "Warm clock: the scene is on the device. Burnish: wall time of so many frames or samples from nothing and "
             "the picture's read-back (median of the repetitions; above 0.5 s one run). Rivals: time per sample, the "
-            "slope between the fastest renders of two sample counts, times the samples, and denoising; what else they "
-            "spend is not counted.",
+            "slope between the shortest renders of three sample counts, times the samples, and denoising; what else "
+            "they spend is not counted.",
     "cold": "Cold clock: wall time of a second F12 with everything in: reading the scene, upload, structures, samples, "
             "read-back. Kernels are compiled and loaded.",
     MOVING: "Camera moving: one frame of a slow pan and its read-back, the last of which is compared.",
@@ -201,6 +201,12 @@ def parts_tables(result: SceneResult) -> Iterator[Table]:
         times = facts["times"]
         yield ("Getting the scene onto the device, once [s] (drawing is not in it: in background there is no window):",
                [*times], [[f"{seconds:.4f}" for seconds in times.values()]])
+    slopes = [[ENGINES[engine], f"{1e3 * facts['per_sample']:.4g}",
+               ", ".join(f"{count}: {seconds:.3f} s" for count, seconds in zip(
+                   facts["counts"], facts["times"], strict=True)), facts.get("note", "")]
+              for engine, facts in result.engines.items() if "counts" in facts and "+" not in engine]
+    if slopes:
+        yield "Rivals' times per sample:", ["render", "ms", "shortest render by samples", "note"], slopes
     rows = [(row["label"], row["parts"]) for row in result.rows if row.get("parts") and not row.get("no_picture")]
     yield from (wide_table("Parts of each picture's time [s]:", rows, 1.0, sums=False),) if rows else ()
     frames = [(f"{ENGINES[engine]}, at rest", facts["frame_times"]) for engine, facts in result.engines.items()

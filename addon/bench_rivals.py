@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles and EEVEE on the warm clock: their time per sample with the scene resident, and their pictures at budgets.
 
-Nobody can time a live Cycles from outside, so its time is taken from the slope between two sample counts of a scene
-that stays on the device (Persistent Data), where everything but sampling is the same and cancels out. That leaves out
+Nobody can time a live Cycles from outside, so its time is taken from the slope between sample counts of a scene that
+stays on the device (Persistent Data), where everything but sampling is the same and cancels out. That leaves out
 its synchronization, its read-back and Blender's: the rivals' warm times are lower bounds. Denoising is the difference
 that it makes to one sample.
 """
@@ -22,18 +22,12 @@ import numpy as np
 from ..engine.errors import BurnishError
 from ..engine.read import read_exr
 from .bench_engines import BenchScene, save_picture, sentence
-from .bench_plan import LONG, RIVAL_SEED, fit_line, samples_within
+from .bench_plan import LONG, RIVAL_SEED, samples_within
+from .bench_slope import measure_slope
 from .bench_store import Job
 
 __all__ = ["calibrate", "check_eevee", "render_shared", "render_warm", "shareable"]
 
-SLOPE_SECONDS = 0.4
-"""Difference between two renders that is long enough for a slope"""
-SLOPE_SHARE = 0.5
-"""The same as a share of the shorter render"""
-SLOPE_LIMIT = 4.0
-"""A render this long ends the search for a second sample count [s]"""
-SAMPLES_MAX = 1 << 14
 SHARED_EXCESS = 0.03
 """Share of a budget by which denoising may exceed it where a render is shared"""
 PROBE_SECONDS = 240.0
@@ -86,17 +80,6 @@ def probe_eevee(folder: Path) -> tuple[str | None, str]:
     return (names[0] if names and names[0] else "an unnamed OpenGL device"), ""
 
 
-def fastest(scene: BenchScene, job: Job, repetitions: int) -> float:
-    """Return the shortest seconds of renders of a job, none of them saved: other load only makes them longer."""
-    scene.configure(job)
-    return min(scene.shoot()[0] for _ in range(repetitions))
-
-
-def long_enough(low: float, high: float) -> bool:
-    """Tell whether two renders' times differ by enough for a slope."""
-    return high - low >= max(SLOPE_SECONDS, SLOPE_SHARE * low) or high >= SLOPE_LIMIT
-
-
 def calibrate(scene: BenchScene, engine: str, repetitions: int, base: dict[str, Any] | None,
               check: Callable[[], None], folder: Path) -> dict[str, Any]:
     """Return an engine's time per sample and what it adds to each picture.
@@ -104,14 +87,14 @@ def calibrate(scene: BenchScene, engine: str, repetitions: int, base: dict[str, 
     Args:
         scene: The open scene.
         engine: Name of a peer.
-        repetitions: Renders at each count; the fastest is taken.
+        repetitions: Renders at each count; the shortest is taken.
         base: For a denoised engine, the result of the one that it denoises.
         check: Called between renders; may raise.
         folder: For the probe of EEVEE.
 
     Returns:
         per_sample, denoise: seconds; counts, times: of the renders behind the slope; fixed: what a resident render
-        takes beside its samples; device: what it ran on.
+        takes beside its samples; note: what is to be known about the slope; device: what it ran on.
     """
     found = {"device": check_eevee(folder) if engine == "eevee" else scene.device}
     scene.persistent = True
@@ -120,30 +103,23 @@ def calibrate(scene: BenchScene, engine: str, repetitions: int, base: dict[str, 
         scene.configure(first)
         scene.shoot()  # Loads kernels and the scene.
         check()
-        low = fastest(scene, first, repetitions)
         if base is not None:
+            low = min(scene.shoot()[0] for _ in range(repetitions))
             return {**base, **found, "denoise": max(0.0, low - base["times"][0]), "fixed": low - base["per_sample"]}
-        check()
-        count, high = 1, low
-        while count < SAMPLES_MAX:
-            # Not below a doubling, not far above what the longest render allows.
-            count *= 2 if count < 8 or high - low > 0.5 * SLOPE_SECONDS else 4
-            more = Job(engine=engine, samples=count, seed=RIVAL_SEED)
-            high = fastest(scene, more, 1)
+
+        def render(count: int) -> float:
             check()
-            if long_enough(low, high):
-                # A disturbed render looks long enough too: it must be so again.
-                high = min(high, fastest(scene, more, max(1, repetitions - 1)))
-                low = min(low, fastest(scene, first, 1))
-                if long_enough(low, high):
-                    break
+            scene.configure(Job(engine=engine, samples=count, seed=RIVAL_SEED))
+            return scene.shoot()[0]
+
+        slope = measure_slope(render, repetitions)
     finally:
         scene.persistent = False
-    fixed, slope = fit_line((1, count), (low, high))
-    if slope <= 0.0:
-        raise BurnishError(f"No time per sample can be measured: {count} samples take {high:.3f} s, one takes "
-                           f"{low:.3f} s; render larger pictures")
-    return {**found, "per_sample": slope, "denoise": 0.0, "fixed": fixed, "counts": [1, count], "times": [low, high]}
+    if slope.per_sample <= 0.0:
+        raise BurnishError(f"No time per sample can be measured: {slope.counts[-1]} samples take "
+                           f"{slope.times[-1]:.3f} s, one takes {slope.times[0]:.3f} s; render larger pictures")
+    return {**found, "per_sample": slope.per_sample, "denoise": 0.0, "fixed": slope.fixed, "counts": slope.counts,
+            "times": slope.times, "note": slope.note}
 
 
 def no_time(facts: dict[str, Any]) -> str:

@@ -168,8 +168,8 @@ class SceneBench:
         for engine, wanted in by_engine([job for job in jobs if job.budget <= LONG]).items():
             self._guarded(wanted, lambda e=engine, w=wanted: self.live.render_short(
                 e, w, self.facts(e), self.pictures_of, self.begin, self.done))
-        for reference in (False, True):
-            long = [job for job in jobs if job.budget > LONG and (job.engine == "reference") == reference]
+        for engines in (("realtime",), ("realtime+oidn",), ("reference", "reference+oidn")):
+            long = [job for job in jobs if job.budget > LONG and job.engine in engines]
             if long:
                 self._guarded(long, lambda w=long: self.live.render_long(
                     w, {engine: self.facts(engine) for engine in by_engine(w)}, self.pictures_of, self.begin,

@@ -20,10 +20,11 @@ from ..engine.errors import BurnishError
 __all__ = ["ENGINES", "OWN", "PEERS", "Job", "SceneStore", "file_hash", "source_hash", "write_bytes", "write_text"]
 
 ENGINES = {"truth": "Truth", "realtime": "Burnish Realtime", "realtime+oidn": "Burnish Realtime + OIDN",
-           "reference": "Burnish Reference", "cycles": "Cycles", "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
+           "reference": "Burnish Reference", "reference+oidn": "Burnish Reference + OIDN",
+           "cycles": "Cycles", "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
 """Engines by their names on the command line, with their names in tables"""
 
-OWN = ("realtime", "realtime+oidn", "reference")
+OWN = ("realtime", "realtime+oidn", "reference", "reference+oidn")
 """Engines whose results depend on this package's source"""
 PEERS = ("cycles", "cycles+oidn", "eevee")
 
@@ -57,7 +58,7 @@ class Job:
         """Name for people."""
         if self.clock == MOVING:
             return f"{ENGINES[self.engine]}, camera moving"
-        unit = ("frames" if self.samples != 1 else "frame") if self.engine.startswith("realtime") else "spp"
+        unit = ("frames" if self.samples != 1 else "frame") if self.engine == "realtime" else "spp"
         amount = f"{self.budget:g} s {self.clock}".rstrip() if self.budget else f"{self.samples} {unit}"
         return f"{ENGINES[self.engine]} {amount}" + (f" seed {self.seed}" if self.seed else "")
 

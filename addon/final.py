@@ -19,14 +19,16 @@ import bpy
 import numpy as np
 
 from ..engine.errors import BurnishError, InvalidScene
-from ..engine.report import Report
+from ..engine.report import Report, ReportKind
 from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import CameraData
+from ..engine.session import DENOISED
 from ..engine.settings import DebugSettings, Integrator, RenderSettings
 from . import builds, oidn, passes, preferences, preview, report
 from .extract.camera import camera_from_scene
 from .extract.scene import ExtractionCancelled, SceneExtractor
 from .extract.settings import settings_from_scene
+from .passes import LIGHT_PASSES
 from .progress import Cancelled, RenderProgress
 
 __all__ = ["FinishedHook", "RenderInfo", "crop_rectangle", "on_finished", "render"]
@@ -40,9 +42,6 @@ TIMED_FRAME = 8
 """Real-time frame whose sections are measured: the first ones record their launches and have no history yet"""
 RESULT_SECONDS = 0.5
 """Time between two partial pictures in the window."""
-
-GUIDES = {Integrator.REALTIME: ("Normal", "Diffuse Color", "Glossy Color", "Transmission Color")}
-"""Passes that guide the final denoiser: the normal, and what adds up to the albedo."""
 
 debug_view = ""
 """Intermediate result that final renders show instead of the picture, for the command line. The scene's own choice is
@@ -158,6 +157,7 @@ class FinalRender:
         if overrides is not None:
             self.settings = overrides(self.settings)
         self.settings = dataclasses.replace(self.settings, debug=DebugSettings(view=debug_view))
+        self.denoised = self.settings.denoiser.final_denoise and not self.settings.debug.view
         integrator = self.settings.sampling.integrator
         self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval, integrator))
         self.report = passes.missing_passes(depsgraph.view_layer_eval, integrator)
@@ -187,11 +187,13 @@ class FinalRender:
         engine = self.engine
         engine.active_view_set(view)
         camera = view_camera(engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
-        denoised = self.settings.denoiser.final_denoise and not self.settings.debug.view
-        guides = GUIDES.get(self.settings.sampling.integrator, ()) if denoised else ()
-        names = tuple(dict.fromkeys((*(aov.source for aov in self.aovs), *guides)))
-        for (kind, owner, message), count in realtime_approximations(
-                self.settings, self.facts, camera.aperture_radius).counts.items():
+        names = (*(aov.source for aov in self.aovs), *((DENOISED,) if self.denoised else ()))
+        # A picture to be denoised has frames for its light passes alone, else it is path-traced from the start.
+        lit = any(name in LIGHT_PASSES for name in names)
+        traced = self.denoised and not lit and self.settings.denoiser.path_traced_rest
+        approximations = Report() if traced else realtime_approximations(
+            self.settings, self.facts, camera.aperture_radius)
+        for (kind, owner, message), count in approximations.counts.items():
             # Once, however many views there are.
             self.report.counts[kind, owner, message] = count
         session.configure(self.settings, camera, self.width, self.height, self.crop, names)
@@ -205,10 +207,8 @@ class FinalRender:
         finished = False
         try:
             samples, seconds = self._sample(session, result)
-            pixels = {aov.name: session.read(aov.source) for aov in self.aovs}
-            if denoised and not engine.test_break():
-                self.progress.stage("Denoising")
-                pixels["Combined"] = denoise(pixels["Combined"], [session.read(name) for name in guides])
+            pixels = {aov.name: self._combined(session) if aov.name == "Combined" else session.read(aov.source)
+                      for aov in self.aovs}
             self._write(result, pixels)
             finished = True
         finally:
@@ -220,13 +220,25 @@ class FinalRender:
         for hook in list(on_finished):
             hook(self.layer, view, pixels, info)
 
+    def _combined(self, session: Any) -> np.ndarray:
+        """Return the combined pass, denoised if asked for; where that fails it is not, and the report says so."""
+        if self.denoised and not self.engine.test_break():
+            self.progress.stage("Denoising")
+            try:
+                return oidn.denoise(session)
+            except BurnishError as error:
+                self.report.add(ReportKind.ERROR, "", f"the picture is not denoised. {error}")
+                self.engine.report({'WARNING'}, f"Burnish: the picture is not denoised. {error}")
+        return session.read("Combined")
+
     def _sample(self, session: Any, result: Any) -> tuple[int, float]:
         """Add samples until there are enough, the time is up or the user cancels; return samples and seconds."""
         sampling = self.settings.sampling
         total, limit = sampling.samples, sampling.time_limit
         start = shown = time.perf_counter()
         done, count, elapsed = 0, 1, 0.0
-        timed_at = timed_frame(self.settings)
+        # A picture to be denoised has no frames, or no more than its light passes need.
+        timed_at = -1 if self.denoised else timed_frame(self.settings)
 
         def should_stop() -> bool:
             return bool(self.engine.test_break()) or (0.0 < limit <= time.perf_counter() - start and done > 0)
@@ -253,14 +265,6 @@ class FinalRender:
         for render_pass in result.layers[0].passes:
             if render_pass.name in pixels:
                 passes.write_pass(render_pass, pixels[render_pass.name])
-
-
-def denoise(pixels: np.ndarray, guides: list[np.ndarray]) -> np.ndarray:
-    """Return a picture denoised by a normal and parts of the albedo, or by itself where there are none."""
-    if not guides:
-        return oidn.denoise(pixels)
-    normal, *parts = guides
-    return oidn.denoise(pixels, sum(parts), normal)
 
 
 def timed_frame(settings: RenderSettings) -> int:

@@ -23,6 +23,13 @@ def _viewports() -> Any:
     return sys.modules.get(f"{__package__}.viewport")
 
 
+def release_denoiser() -> None:
+    """Give back what the final denoiser keeps, if there was one."""
+    denoiser = sys.modules.get(f"{__package__}.oidn")
+    if denoiser is not None:
+        denoiser.release()
+
+
 def stop_viewports() -> None:
     """Stop all viewports and wait for their threads."""
     viewport = _viewports()
@@ -49,6 +56,7 @@ def after_undo(*_: Any) -> None:
 def before_exit(*_: Any) -> None:
     """Stop the worker threads while the interpreter still lives."""
     stop_viewports()
+    release_denoiser()
 
 
 def _handlers() -> list[tuple[list[Any], Any]]:
@@ -75,7 +83,8 @@ def at_interpreter_exit() -> None:
 
 
 def unregister() -> None:
-    """Remove the handlers."""
+    """Remove the handlers and what they look after."""
+    release_denoiser()
     for handlers, function in _handlers():
         if function in handlers:
             handlers.remove(function)

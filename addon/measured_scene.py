@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..engine.camera_flight import fly_over
 from ..engine.errors import BurnishError
+from ..engine.measure_moving import fly_over
 from ..engine.scene import CameraData
 from ..engine.session import Session
 from ..engine.settings import Integrator, RenderSettings

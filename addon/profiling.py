@@ -13,8 +13,8 @@ from typing import Any
 
 from ..engine.device import choose_device
 from ..engine.errors import BurnishError
-from ..engine.frame_measure import measure_frames
 from ..engine.frame_profile import FrameProfile, PassProfile, profile_frame
+from ..engine.measure_moving import measure_frames
 from . import registered
 from .bench_plots import new_figure
 from .cli_output import Console, diverted_output
@@ -65,7 +65,7 @@ def profile_scene(path: Path, size: tuple[int, int], device: str) -> FrameProfil
     try:
         cameras = scene.flight(size, FLIGHT)
         times = measure_frames(scene.session, scene.settings, cameras, size, frames=FRAMES[device != "cpu"])
-        return profile_frame(scene.session.pipeline, times)
+        return profile_frame(scene.session, times)
     finally:
         scene.close()
 
@@ -73,8 +73,9 @@ def profile_scene(path: Path, size: tuple[int, int], device: str) -> FrameProfil
 def summary(name: str, profile: FrameProfile) -> str:
     """Return a profile as a line."""
     times, floor = profile.times, sum(each.floor for each in profile.passes)
-    return (f"{name}: {times.frame:.2f} ms a frame, {times.in_a_row:.2f} ms in a row, Python {times.python:.3f} ms, "
-            f"{sum(profile.launches.values())} launches; floor {floor:.2f} ms")
+    return (f"{name}: {times.frame:.2f} ms a frame, {times.in_a_row:.2f} ms in a row, {profile.at_rest:.2f} ms at rest"
+            f", Python {times.python:.3f} ms, {sum(profile.launches.values())} launches; floor {floor:.2f} ms; "
+            f"{profile.triangles:,} triangles")
 
 
 def save(output: Path, found: dict[str, FrameProfile], facts: dict[str, str], console: Console) -> None:
@@ -96,7 +97,7 @@ def save(output: Path, found: dict[str, FrameProfile], facts: dict[str, str], co
 
 
 def tables(profile: FrameProfile) -> list[str]:
-    """Return the lines of a profile's tables: passes, kernels, counts, what was left out."""
+    """Return the lines of a profile's tables: passes, sections, kernels, counts, what was left out."""
     passes = profile.passes
     total = sum(each.milliseconds for each in passes)
     floor = sum(each.floor for each in passes)
@@ -108,7 +109,9 @@ def tables(profile: FrameProfile) -> list[str]:
     lines += [f"| sum | {total:.2f} | 100 % | {sum(each.launches for each in passes)} | {size / 1e6:,.0f} | {rays:,} "
               f"| {sum(each.floor_bytes for each in passes):.2f} "
               f"| {sum(each.floor_rays or 0.0 for each in passes):.2f} | {total / max(floor, 1e-9):.1f} |", "",
-              "| kernel | ms | launches |", "|---|---|---|"]
+              "| section | ms |", "|---|---|"]
+    lines += [f"| {section} | {value:.3f} |" for section, value in profile.times.sections.items()]
+    lines += ["", "| kernel | ms | launches |", "|---|---|---|"]
     dearest = sorted(profile.times.kernels.items(), key=lambda item: -item[1])
     lines += [f"| `{name}` | {value:.3f} | {profile.launches.get(name, 0)} |" for name, value in dearest[:KERNELS]]
     rest = sum(value for _, value in dearest[KERNELS:])

@@ -16,9 +16,11 @@ from typing import Any
 import warp as wp
 
 from .device import device_info, thread_count
-from .frame_measure import FrameTimes
 from .history import History, arrays_of
+from .measure import wait
+from .measure_moving import FrameTimes
 from .pipeline import Pipeline
+from .session import Session
 
 __all__ = ["FrameProfile", "PassProfile", "buffer_bytes", "copy_rate", "pass_of", "profile_frame", "ray_rates"]
 
@@ -54,6 +56,8 @@ HOPPER = ("H100", "H200", "GH200")
 PROCESSOR_RATE = 0.9e6
 """The same on one core of a processor, rays of all kinds"""
 
+REST_WARM_UP = 12
+"""Steps at rest before any is timed: launches are recorded, path tracing begins"""
 COPY_BYTES = {True: 1 << 29, False: 1 << 26}
 """Bytes copied to measure the copy rate, on CUDA and elsewhere"""
 
@@ -90,19 +94,23 @@ class FrameProfile:
     launches: dict[str, int]
     """By kernel"""
     skipped: dict[str, str]
+    at_rest: float
+    """Mean milliseconds of the same number of steps in a row at rest, path-traced samples among them"""
+    triangles: int
 
     def as_dict(self) -> dict[str, Any]:
         """Return all figures by name."""
         return asdict(self)
 
 
-def profile_frame(pipeline: Pipeline, times: FrameTimes) -> FrameProfile:
-    """Return the profile of a pipeline's last frame.
+def profile_frame(session: Session, times: FrameTimes) -> FrameProfile:
+    """Return the profile of a session's last frame.
 
     Args:
-        pipeline: Has rendered frames.
+        session: Has rendered frames; goes on at rest.
         times: Of these frames, as from measure_frames.
     """
+    pipeline = session.pipeline
     device = pipeline.device
     rate, rates = copy_rate(device), ray_rates(device)
     launches: dict[str, int] = {}
@@ -123,8 +131,15 @@ def profile_frame(pipeline: Pipeline, times: FrameTimes) -> FrameProfile:
             name=name, milliseconds=milliseconds[name], launches=by_pass[name], buffer_bytes=held[name],
             rays=sum(count for count, _ in counts), floor_bytes=held[name] / rate * 1e3,
             floor_rays=None if rates is None else sum(count / rates[kind] for count, kind in counts) * 1e3))
+    skipped = dict(pipeline.skipped)
+    session.step(REST_WARM_UP)
+    wait(session)
+    start = time.perf_counter()
+    session.step(times.frames)
+    wait(session)
+    at_rest = (time.perf_counter() - start) * 1e3 / times.frames
     return FrameProfile(device=device_info(device).name, copy_rate=rate, times=times, passes=passes, launches=launches,
-                        skipped=dict(pipeline.skipped))
+                        skipped=skipped, at_rest=at_rest, triangles=session.stats.triangles)
 
 
 def pass_of(section: str) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .camera_flight import fly
+from .measure_moving import fly
 from .program import ProgramBuilder
 from .scene import (
     AlphaMode,

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Wall times of a session's frames, the device's work and the read-back of the picture included.
+"""Wall times of a session's frames at rest, the device's work and the read-back of the picture included.
 
-For a benchmark: how many frames fit into a time, what a picture then looks like, what a frame costs while the camera
-moves. Times start after a synchronized reset with the scene resident; what ends a picture (read-back, a denoiser) is a
-function of the caller's and is timed too.
+For a benchmark: how many frames fit into a time, and what a picture then looks like. Times start after a synchronized
+reset with the scene resident; what ends a picture (read-back, a denoiser) is a function of the caller's and is timed
+too. measure_moving.py times frames while the camera moves.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,8 +19,8 @@ import warp as wp
 from .scene import CameraData
 from .session import Session
 
-__all__ = ["Curve", "MovingFrames", "Shot", "Stop", "View", "frame_curve", "frames_within", "moving_frames",
-           "progressive_shots", "shoot"]
+__all__ = ["Curve", "Shot", "Stop", "View", "frame_curve", "frames_within", "never", "progressive_shots", "restart",
+           "shoot", "wait"]
 
 Curve = list[tuple[int, float]]
 """Numbers of frames, ascending, and the seconds that so many took"""
@@ -33,8 +30,6 @@ Finish = Callable[[], np.ndarray]
 
 SINGLE_FRAMES = 8
 """Frames of a curve that are measured one by one; later ones in groups of an eighth of those before"""
-PAN_STEP = math.radians(0.1)
-"""Turn of the camera between two moving frames [rad]: a slow pan of 6 degrees a second at 60 frames a second"""
 
 
 def never() -> bool:
@@ -52,9 +47,9 @@ class View:
     crop: tuple[int, int, int, int] | None
     passes: tuple[str, ...]
 
-    def configure(self, session: Session, settings: Any, camera: CameraData | None = None) -> None:
-        """Set a session to this view, through another camera where one is given."""
-        session.configure(settings, camera or self.camera, self.width, self.height, self.crop, self.passes)
+    def configure(self, session: Session, settings: Any) -> None:
+        """Set a session to this view."""
+        session.configure(settings, self.camera, self.width, self.height, self.crop, self.passes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,20 +62,6 @@ class Shot:
     """Frames and finish"""
     finish: float
     """Reading back and what else belongs to the picture [s]"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MovingFrames:
-    """Frames of a pan that ends in the view it was asked for."""
-
-    picture: np.ndarray
-    frames: int
-    frame_seconds: float
-    """Median from the camera's change to the device's end"""
-    read_seconds: float
-    """Median of the read-back that follows"""
-    sections: dict[str, float]
-    """Milliseconds of each section of one moving frame"""
 
 
 def wait(session: Session) -> None:
@@ -176,48 +157,3 @@ def progressive_shots(
         picture = stop.finish()
         spent = max(time.perf_counter() - start, stop.finish_seconds)
         yield Shot(picture=picture, frames=session.samples_done, seconds=elapsed + spent, finish=spent)
-
-
-def turned(camera: CameraData, angle: float) -> CameraData:
-    """Return the camera turned about its own upward axis by an angle [rad]."""
-    matrix = np.array(camera.transform, float).reshape(4, 4)
-    sine, cosine = math.sin(angle), math.cos(angle)
-    turn = np.array([[cosine, 0, sine, 0], [0, 1, 0, 0], [-sine, 0, cosine, 0], [0, 0, 0, 1]], float)
-    return dataclasses.replace(camera, transform=tuple((matrix @ turn).ravel().tolist()))
-
-
-def moving_frames(
-    session: Session, settings: Any, view: View, frames: int, seconds: float,
-    should_stop: Callable[[], bool] = never,
-) -> MovingFrames:
-    """Render a pan of `frames` frames, fewer where they took longer than `seconds`, that ends in `view`.
-
-    One more frame, measured section by section, comes before the last.
-    """
-    start = restart(session)
-    frame_times, read_times = [], []
-    count, index = frames, 0
-    sections: dict[str, float] = {}
-    while index < count and not should_stop():
-        if time.perf_counter() - start > seconds:
-            count = min(count, max(index + 2, 3))
-        left = count - 1 - index
-        begin = time.perf_counter()
-        view.configure(session, settings, turned(view.camera, left * PAN_STEP) if left else None)
-        session.timed = left == 1
-        session.step(1)
-        wait(session)
-        end = time.perf_counter()
-        session.read("Combined")
-        if session.timed:
-            sections = dict(session.frame_times)
-        else:
-            frame_times.append(end - begin)
-            read_times.append(time.perf_counter() - end)
-        session.timed = False
-        index += 1
-    picture = session.read("Combined")[..., :3]
-    half = len(frame_times) // 2
-    # The first frames record their launches and have no history.
-    return MovingFrames(picture=picture, frames=index, frame_seconds=statistics.median(frame_times[half:] or [0.0]),
-                        read_seconds=statistics.median(read_times[half:] or [0.0]), sections=sections)

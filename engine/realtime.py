@@ -4,7 +4,8 @@
 Three regimes, counted in steps since anything changed: the first SETTLING steps are the pipeline's frames; then frames
 and samples of the reference integrator take turns until there are `DenoiserSettings.rest_frames` frames; from then on
 every step is a sample. The samples go into a film of their own, and passes/rest.py makes one picture from both, whose
-limit is the reference integrator's.
+limit is the reference integrator's. A picture that is going to be denoised takes no part in this: to a denoiser samples
+are worth more than frames, so that every step is a sample, but for the frames of light passes.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from ..kernels import film
 from ..kernels.paths import Options
+from .device import launch
 from .device_scene import DeviceScene
 from .passes.radiance_cache import smallest_cell
 from .passes.reference import FilmBuffers, ReferencePass
@@ -28,6 +31,8 @@ __all__ = ["Realtime"]
 
 KEYS_REPEAT = 1 << 16
 """Smallest cells that the camera may jump: at twice as many the keys of the cache's cells repeat"""
+LIGHT_FRAMES = 16
+"""Frames for the light passes of a picture that is going to be denoised"""
 
 
 class Realtime:
@@ -44,11 +49,13 @@ class Realtime:
         self._settings: RenderSettings | None = None
         self._size = (0, 0)
         self._light_passes: tuple[str, ...] = ()
+        self._denoised = False
         self._moved = self._lit = False
         self._blended = False
         self._resolved: wp.array | None = None
 
-    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: tuple[str, ...]) -> None:
+    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: tuple[str, ...],
+                  denoised: bool = False) -> None:
         """Allocate for settings and a size [px]; a change of either forgets all history.
 
         Args:
@@ -56,7 +63,11 @@ class Realtime:
             width: Of the rendered region [px].
             height: Of the rendered region [px].
             light_passes: Names from LIGHT_PASSES (passes/composite.py) that will be read.
+            denoised: Whether the picture is going to be denoised.
         """
+        if denoised != self._denoised:
+            self._denoised = denoised
+            self._forget_samples()
         old = self._settings
         if same_frames(settings, old) and (width, height, light_passes) == (*self._size, self._light_passes):
             self._settings = settings
@@ -122,6 +133,8 @@ class Realtime:
         denoiser, traced = self._settings.denoiser, self.reference.samples_done
         if not denoiser.path_traced_rest or self._settings.debug.view not in ("", *RestBlend.debug_views):
             return 0
+        if self._denoised:
+            return 1 << 30 if self.frames >= (LIGHT_FRAMES if self._light_passes else 0) else 0
         if self.frames >= max(denoiser.rest_frames, 1):
             return 1 << 30
         if self.frames < SETTLING:
@@ -147,20 +160,34 @@ class Realtime:
     def _trace(
         self, scene: DeviceScene, camera: np.ndarray, options: Options, count: int, should_stop: Callable[[], bool],
     ) -> None:
+        target = self.reference.samples_done + count
+        self.reference.render(
+            scene.scene, camera, options, self._filter, self._samples_film(), target, should_stop)
+        self._blended = True
+
+    def _samples_film(self) -> FilmBuffers:
+        """Return the film of path-traced samples, made when it is first asked for."""
         if self._film is None:
             pixels = self._size[0] * self._size[1]
             self._film = FilmBuffers.make(pixels, False, self.device)
             self.reference.resize(pixels, False)
-        self.reference.render(
-            scene.scene, camera, options, self._filter, self._film, self.reference.samples_done + count, should_stop)
-        self._blended = True
+        return self._film
 
     def picture(self) -> wp.array:
         """Return the newest picture: vec4 [h * w], as the film shows it."""
+        if self._denoised and self.frames == 0:
+            buffers = self._samples_film()
+            launch(film.resolve_color, buffers.pixel_count, [buffers.film, int(self._settings.film.transparent)],
+                   [buffers.picture], self.device)
+            return buffers.picture
         blend = self._newest_blend()
         if blend is None:
             return self.pipeline.picture
         return self._blend.show_weight() if self._settings.debug.view else blend
+
+    def samples(self) -> tuple[ReferencePass, FilmBuffers] | None:
+        """Return the path-traced samples and their tracer; None before the first."""
+        return (self.reference, self._film) if self._film is not None and self.reference.samples_done > 0 else None
 
     def light_pass(self, name: str) -> wp.array:
         """Return one of LIGHT_PASSES as the newest picture has it: vec3 [h * w], exposed."""

@@ -2,7 +2,7 @@
 """How the cost of a frame grows with the scene: which quantities are swept, what is fitted, what the goals are.
 
 Time is fitted as a power of the quantity by least squares of the logarithms, and for triangles against the logarithm
-of their number too. Measures with engine/frame_measure.py on engine/generated_scenes.py; writes nothing.
+of their number too. Measures with engine/measure_moving.py on engine/generated_scenes.py; writes nothing.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 import warp as wp
 
 from .errors import BurnishError
-from .frame_measure import measure_frames
 from .generated_scenes import SceneRecipe, generate_scene, scene_flight
+from .measure_moving import measure_frames
 from .session import Session
 from .settings import RenderSettings
 

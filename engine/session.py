@@ -7,6 +7,7 @@ pictures. Not thread-safe: one thread at a time. Knows nothing of Blender.
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from .device_scene import DeviceScene
 from .errors import InvalidScene
 from .frame_data import frame_row
 from .passes.composite import LIGHT_PASSES
+from .passes.final_denoise import FinalDenoise
 from .passes.reference import FilmBuffers, ReferencePass
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
@@ -30,7 +32,7 @@ from .scene import CameraData, SceneDelta
 from .settings import Change, Integrator, RenderSettings, change_since
 from .warmup import warm_up
 
-__all__ = ["PASSES", "Session", "SessionStats"]
+__all__ = ["DENOISED", "PASSES", "Session", "SessionStats"]
 
 GEOMETRY_SAMPLES = 16
 """Samples a pixel of the passes that tell of the first surface, where the real-time integrator makes the picture"""
@@ -40,6 +42,9 @@ PASSES = {
     "Object Index": 1, "Material Index": 1, **dict.fromkeys(LIGHT_PASSES, 3),
 }
 """Channels of each picture that read() gives."""
+
+DENOISED = "Denoised"
+"""Stands among the passes of configure() for read_denoised()"""
 
 BACKGROUND_DEPTH = 1e10
 """Depth where there is no surface, as Cycles writes it."""
@@ -89,6 +94,7 @@ class Session:
         self._sampling_report = Report()
         self._kept_options: dict[bool, tuple[tuple, Options]] = {}
         self._realtime: Realtime | None = None
+        self.denoiser = FinalDenoise(self.device)
         self.timed = False
         """Measure every section of real-time frames (slower: each is waited for)"""
 
@@ -140,7 +146,7 @@ class Session:
             width: Of the full frame [px].
             height: Of the full frame [px].
             crop: Region rendered, as x, y, width, height with a bottom-left origin; None is everything.
-            passes: Names from PASSES that will be read.
+            passes: Names from PASSES that will be read, and DENOISED if the picture will be denoised.
 
         Raises:
             InvalidScene: The size or region is impossible.
@@ -150,7 +156,7 @@ class Session:
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
         change = change_since(settings, self.settings)
-        extra = any(name not in ("Combined", *LIGHT_PASSES) for name in passes)
+        extra = any(name not in ("Combined", DENOISED, *LIGHT_PASSES) for name in passes)
         key = (crop[2] * crop[3], extra, settings.sampling.integrator)
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
@@ -167,7 +173,8 @@ class Session:
             if settings.sampling.integrator == Integrator.REALTIME:
                 self._realtime = self._realtime or Realtime(self.device)
                 self._realtime.configure(
-                    settings, crop[2], crop[3], tuple(name for name in LIGHT_PASSES if name in passes))
+                    settings, crop[2], crop[3], tuple(name for name in LIGHT_PASSES if name in passes),
+                    DENOISED in passes)
                 if change & Change.RESTART:
                     self._realtime.note_camera()
             else:
@@ -246,12 +253,14 @@ class Session:
         if self._film is not None:
             self._film.clear()
         self._pass.reset()
+        self.denoiser.reset()
         self.stats.times["sampling"] = 0.0
 
     def close(self) -> None:
         """Give the device's memory back."""
         self._film = None
         self._realtime = None
+        self.denoiser = FinalDenoise(self.device)
         self._kept_options = {}
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
@@ -279,6 +288,36 @@ class Session:
             [self._film.film, int(self.settings.film.transparent)], [self._film.picture], device=self.device)
         self._count_oddities()
         return self._film.picture
+
+    def guides(self) -> tuple[wp.array, wp.array]:
+        """Return albedo, 0..1, and normal of what pixels show, as read_denoised() uses them: vec3 [h * w] each."""
+        traced = self._realtime.samples() if self._realtime is not None else None
+        tracer = self._pass if traced is None else traced[0]
+        options, done = self._options(False), self.samples_done
+        return self.denoiser.guides(tracer, self._scene.scene, self._frame, options, self._filter, done)
+
+    def read_denoised(self, library: ctypes.CDLL) -> np.ndarray:
+        """Return the Combined picture without noise: float32 [h, w, 4], as read() does.
+
+        Args:
+            library: Open Image Denoise, from oidn.load.
+
+        Raises:
+            BurnishError: The library failed.
+            OutOfDeviceMemory: What it needs beside the picture does not fit.
+        """
+        start, (width, height) = time.perf_counter(), self._size[2][2:]
+        traced, picture = (self._pass, self._film), None
+        if self._realtime is not None:
+            traced = self._realtime.samples()
+            picture = self._realtime.picture() if self._realtime.frames > 0 else None
+        with device_errors("denoising"):
+            # A lens blurs what the guides show.
+            denoised = self.denoiser.run(
+                library, self.guides(), (width, height), clean=self._camera.aperture_radius <= 0.0, traced=traced,
+                picture=picture, transparent=self.settings.film.transparent).numpy()
+        self.stats.times["denoise"] = time.perf_counter() - start
+        return np.ascontiguousarray(denoised.reshape(height, width, 4), np.float32)
 
     def _read_flat(self, name: str) -> np.ndarray:
         buffers = self._film.film

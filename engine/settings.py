@@ -339,8 +339,8 @@ class DenoiserSettings:
     rest_gather: bool = setting(
         True, "Gather indirect light for each pixel at rest: exact contacts and corners, for rays at rest alone")
     final_denoise: bool = setting(
-        False, "Run Open Image Denoise of Blender over the combined pass of final renders: smooth pictures from few "
-        "samples for a second or so, and a loss of fine texture")
+        False, "Denoise the combined pass of final renders by Blender's Open Image Denoise: smooth pictures from few "
+        "samples, all of them path-traced, for milliseconds on CUDA and a second or so on the processor")
 
 
 @dataclass(frozen=True, kw_only=True)

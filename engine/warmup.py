@@ -21,11 +21,13 @@ from ..kernels import (
     cache_programs,
     cache_rays,
     cache_shade,
+    cache_spread,
     cluster_tree,
     compaction,
     composite,
     composite_debug,
     denoise_debug,
+    denoise_guides,
     diffuse_blur,
     diffuse_temporal,
     direct_atrous,
@@ -99,7 +101,8 @@ __all__ = ["KERNEL_MODULES", "warm_up"]
 KERNEL_MODULES = (
     film, display, compaction, tracing, flat_tracing, flat_paths, flatten, cluster_tree,
     wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim,
-    cache_debug, cache_lights, cache_rays, cache_shade, composite, composite_debug, denoise_debug, diffuse_blur,
+    cache_debug, cache_lights, cache_rays, cache_shade, cache_spread, composite, composite_debug, denoise_debug,
+    diffuse_blur,
     diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters, direct_shadow, direct_temporal,
     gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map,
     probe_place, probe_records, probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers,
@@ -108,7 +111,7 @@ KERNEL_MODULES = (
     reflection_place, reflection_choice, reflection_debug, reflection_filter_debug, reflection_trace, reflection_lamps,
     reflection_screen, reflection_resolve, reflection_start, reflection_probes, reflection_blocks, reflection_cleanup,
     reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean, reflection_refract,
-    reflection_tail, reflection_materials,
+    reflection_tail, reflection_materials, denoise_guides,
 )
 """Modules that own kernels, the quickest to build first."""
 

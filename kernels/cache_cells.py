@@ -4,12 +4,6 @@
 Sums are integers, so that their order doesn't matter. Which of two new cells gets a bucket's last slot depends on the
 order of threads, unless cache_claim.py has dealt the slots before. Kernels with atomics are one launch each;
 `update_cells` writes only its own cells.
-
-A light's change and the first frames need care, since indirect light is read from the cache that it is written to: a
-change takes a frame a bounce, and running means stretch that out without end. For REBALANCE_FRAMES all cells'
-indirect light is therefore scaled, channel by channel, so that on the whole it agrees with what is gathered from it
-(coarse-mesh rebalance of neutron transport; Reed 1971): with O the cells' light, S what arrives in them from lights
-by way of one surface and G what the cells' own light adds to that, a * O = S + a * G gives a = S / (O - G).
 """
 
 from __future__ import annotations
@@ -18,7 +12,7 @@ import warp as wp
 
 from .cache_rays import IDLE, Vertices, cell_seed
 from .geometry_math import is_finite3
-from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell, insert_key
+from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell
 from .intersect import MISS
 from .packing import unpack_normal
 from .paths import Paths
@@ -47,7 +41,6 @@ COUNTERS = wp.constant(8)
 PURGE_SHARE = wp.constant(8)
 """Frames in which all cells' ages are looked at once"""
 REBALANCE_FRAMES = wp.constant(128)
-REBALANCE_MAX = wp.constant(4.0)
 SAMPLES_MAX = wp.constant(4096.0)
 
 # Frames after a change for which the mean of indirect light reaches back less far than this many times: what cells
@@ -67,7 +60,7 @@ class CacheControl:
     live: wp.array[int]
     """[1] cells in use at the end of the frame before"""
     balance: wp.array[wp.int64]
-    """[LANES * 9] O, S and G of the rebalance"""
+    """[2 * LANES * 9] O, S and G of the balance, before and after a frame's sweeps"""
     factors: wp.array[wp.vec3]
     """[2] factor on what cells hold, and on this frame's samples"""
     counters: wp.array[int]
@@ -177,7 +170,6 @@ def accumulate_light(
     count: int,
     # Out:
     grid_out: HashGrid,
-    control_out: CacheControl,
 ):
     """Add the samples of direct light at all hits, and those of indirect light at the bounce rays' sources."""
     slot = wp.tid()
@@ -196,17 +188,10 @@ def accumulate_light(
     carried = vertices.carried[slot - count]
     add_sample(grid_out.sums, 6 * source + 3, arrived + carried)
     wp.atomic_add(grid_out.counts, 2 * source + 1, 1)
-    coarse = insert_key(grid_out, vertices.coarse[slot - count])
+    coarse = vertices.around[slot - count]
     if coarse != NO_CELL:
-        grid_out.touched[coarse] = views[0].frame
         add_sample(grid_out.sums, 6 * coarse + 3, arrived + carried)
         wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
-    held = grid_out.indirect[source]
-    if held[3] > 0.0 and control_out.age[0] < REBALANCE_FRAMES:
-        lane = (slot % LANES) * 9
-        add_sample(control_out.balance, lane, wp.vec3(held[0], held[1], held[2]))
-        add_sample(control_out.balance, lane + 3, arrived)
-        add_sample(control_out.balance, lane + 6, carried)
 
 
 @wp.kernel
@@ -242,48 +227,6 @@ def count_rays(
 
 
 @wp.func
-def balance_sum(control: CacheControl, entry: int) -> float:
-    """Return one of the nine sums over all lanes."""
-    total = wp.int64(0)
-    lane = int(0)
-    while lane < LANES:
-        total = total + control.balance[lane * 9 + entry]
-        lane = lane + 1
-    return from_fixed(total)
-
-
-@wp.kernel
-def measure_balance(
-    # In:
-    grid: HashGrid,
-    # Out:
-    control_out: CacheControl,
-):
-    """Find the factors that bring the cells' indirect light into balance, and note the load (one thread)."""
-    control_out.live[0] = grid.live[0]
-    held_factor = wp.vec3(1.0, 1.0, 1.0)
-    sample_factor = wp.vec3(1.0, 1.0, 1.0)
-    age = control_out.age[0]
-    if age < REBALANCE_FRAMES:
-        # Less and less: the factor is noisy, and what it is to mend soon mends itself.
-        strength = 4.0 / (4.0 + float(age))
-        channel = int(0)
-        while channel < 3:
-            held = balance_sum(control_out, channel)
-            arrived = balance_sum(control_out, 3 + channel)
-            carried = balance_sum(control_out, 6 + channel)
-            if held > 0.0:
-                factor = arrived / wp.max(held - carried, arrived / REBALANCE_MAX + 1.0e-20 * held)
-                factor = wp.pow(wp.max(factor, 0.0), strength)
-                held_factor[channel] = factor
-                if arrived + carried > 0.0:
-                    sample_factor[channel] = (arrived + factor * carried) / (arrived + carried)
-            channel = channel + 1
-    control_out.factors[0] = held_factor
-    control_out.factors[1] = sample_factor
-
-
-@wp.func
 def blend(held: wp.vec4, sums: wp.array[wp.int64], first: int, samples: int, cap: float, factor: wp.vec3) -> wp.vec4:
     """Return a cell's light with this frame's samples, of which it weighs `cap` of its own at most."""
     n = float(samples)
@@ -296,6 +239,18 @@ def blend(held: wp.vec4, sums: wp.array[wp.int64], first: int, samples: int, cap
     if not is_finite3(light):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     return wp.vec4(light[0], light[1], light[2], wp.min(before + n, SAMPLES_MAX))
+
+
+@wp.func
+def light_cap(view: View, sample_cap: float) -> float:
+    """Return how many samples a cell's light may weigh: more at rest."""
+    return wp.min(wp.max(sample_cap, 4.0 * float(view.rest)), SAMPLES_MAX)
+
+
+@wp.func
+def history_share(view: View, sample_cap: float, age: float, samples: int) -> float:
+    """Return how many samples a cell's indirect light may weigh against so many new ones, by AGE_SHARE."""
+    return wp.min(light_cap(view, sample_cap), float(samples) * AGE_SHARE * age)
 
 
 @wp.func
@@ -321,18 +276,19 @@ def update_cells(
     first: int,
     # In:
     views: wp.array[View],
-    control: CacheControl,
     sample_cap: float,
     # Out:
     grid_out: HashGrid,
+    control_out: CacheControl,
 ):
     """Take this frame's samples into the cells' means, each sample with the same weight."""
     cell = first + wp.tid()
+    if cell == 0:
+        control_out.live[0] = grid_out.live[0]
     if grid_out.keys[cell] == EMPTY:
         return
-    rest = float(views[0].rest)
-    age = float(control.age[0])
-    cap = wp.min(wp.max(sample_cap, 4.0 * rest), SAMPLES_MAX)
+    age = float(control_out.age[0])
+    cap = light_cap(views[0], sample_cap)
     direct = grid_out.direct[cell]
     if age == 0.0:
         # What was lit before the edit says nothing of the light now.
@@ -347,12 +303,12 @@ def update_cells(
     indirect = grid_out.indirect[cell]
     if bounced > 0 or indirect[3] > AGE_SAMPLES or age < float(REBALANCE_FRAMES):
         if age < float(REBALANCE_FRAMES):
-            indirect = scaled(indirect, control.factors[0])
+            indirect = scaled(indirect, control_out.factors[0])
         else:
             indirect = aged(indirect, age)
         if bounced > 0:
-            cap = wp.min(cap, float(bounced) * AGE_SHARE * age)
-            indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, cap, control.factors[1])
+            cap = history_share(views[0], sample_cap, age, bounced)
+            indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, cap, control_out.factors[1])
             grid_out.counts[2 * cell + 1] = 0
         grid_out.indirect[cell] = indirect
     if samples > 0 or bounced > 0:

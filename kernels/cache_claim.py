@@ -77,7 +77,7 @@ def claim_coarse(
     # Out:
     grid_out: HashGrid,
 ):
-    """Claim slots for the coarse cells about the sources of the bounce rays (accumulate_light)."""
+    """Claim slots for the coarse cells about the sources of the bounce rays (balance_bounces)."""
     bounce = wp.tid()
     if vertices.source[bounce] != NO_CELL:
         claim_key(grid_out, vertices.coarse[bounce])

@@ -65,6 +65,10 @@ class Vertices:
     """Per bounce ray: radiance that it brings to its source from lights by way of one surface"""
     carried: wp.array[wp.vec3]
     """Per bounce ray: what the cache's indirect light adds to that"""
+    around: wp.array[int]
+    """Per bounce ray: coarse cell about its source, NO_CELL for none"""
+    beyond: wp.array[int]
+    """Per bounce ray, while light spreads: coarse cell about its hit, NO_CELL for none"""
 
 
 @wp.func

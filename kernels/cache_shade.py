@@ -19,6 +19,12 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 FEEDBACK_MAX = wp.constant(0.999)
 
 
+@wp.func
+def bounce_reflectance(vertices: Vertices, slot: int) -> wp.vec3:
+    """Return what a bounce ray's hit reflects."""
+    return wp.min(rgb(vertices.reflectance[slot]), wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX))
+
+
 @wp.kernel
 def gather_bounces(
     first: int,
@@ -41,7 +47,7 @@ def gather_bounces(
     carried = wp.vec3(0.0, 0.0, 0.0)
     emission = vertices_out.emission[slot]
     if emission[3] != IDLE:
-        reflectance = wp.min(rgb(vertices_out.reflectance[slot]), wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX))
+        reflectance = bounce_reflectance(vertices_out, slot)
         direct = rgb(paths.radiance[slot])
         cell = vertices_out.cell[slot]
         view = views[0]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import GBuffer, SurfaceMaterial, load_material
-from .geometry_math import is_finite3, max_component
+from .geometry_math import is_finite3, max_component, over_albedo
 from .long_mean import unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
@@ -234,16 +234,6 @@ def accumulate_light_passes(
     passes_out.albedo[pixel] = sum
 
 
-@wp.func
-def divide_light(light: wp.vec3, albedo: wp.vec3) -> wp.vec3:
-    """Return light / albedo for each channel, 0 where nothing is reflected."""
-    r = wp.vec3(0.0, 0.0, 0.0)
-    for c in range(3):
-        if albedo[c] > 0.0:
-            r[c] = light[c] / albedo[c]
-    return r
-
-
 @wp.kernel
 def resolve_light_passes(
     first: int,
@@ -257,6 +247,6 @@ def resolve_light_passes(
     """Turn sums into Blender's passes: (direct + indirect) * color is the lobe's light in the picture."""
     pixel = first + wp.tid()
     a = passes.albedo[pixel]
-    direct_out[pixel] = divide_light(passes.direct[pixel], rgb(a))
-    indirect_out[pixel] = divide_light(passes.indirect[pixel], rgb(a))
+    direct_out[pixel] = over_albedo(passes.direct[pixel], rgb(a))
+    indirect_out[pixel] = over_albedo(passes.indirect[pixel], rgb(a))
     color_out[pixel] = rgb(a) / wp.max(a[3], 1.0)

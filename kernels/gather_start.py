@@ -11,24 +11,19 @@ import warp as wp
 
 from .cache_rays import Vertices
 from .gbuffer import GBuffer, barycentrics_of, load_material, load_surface, view_direction
-from .geometry_math import INV_PI, max_component, mean_component, to_frame
+from .geometry_math import INV_PI, max_component, mean_component, over_albedo, to_frame
 from .intersect import surface_point
 from .normals import bump_shadowing
-from .packing import pack_normal
 from .paths import Paths, make_hit
 from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
     ReflectionRays,
-    make_idle,
-    ray_count,
+    find_start,
     send_ray,
-    sequence_index,
-    sequence_seed,
     start_ray,
 )
-from .reflection_start import over_albedo
-from .reflection_types import ReflectionOptions, ReflectionSamples, place_pixel
+from .reflection_types import ReflectionOptions, ReflectionSamples
 from .sampling import sample_cosine, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_DIFFUSE, Scene
@@ -59,28 +54,24 @@ def start_gathering(
     One that lies on the wrong side of the triangle is absorbed, as in the path tracer: a black sample.
     """
     slot = first + wp.tid()
-    if slot >= ray_count(rays_out, options.columns * options.rows):
-        make_idle(paths_out, vertices_out, slot)
-        return
     view = views[0]
-    block = rays_out.block[slot]
-    place = int(samples_out.place[block])
-    pixel = place_pixel(options, block, place)
+    start = find_start(view, options, samples_out, rays_out, paths_out, vertices_out, slot)
+    if start.block < 0:
+        return
+    pixel = start.pixel
     m = load_material(gbuffer, pixel)
     surface = load_surface(view, gbuffer, options.width, pixel)
     point = surface_point(
         scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -view_direction(view, surface))
-    seed = sequence_seed(view, options.width, pixel)
-    index = sequence_index(options.stride, view.frame, place)
     total = m.diffuse + m.translucent
     share = mean_component(m.diffuse) / wp.max(mean_component(total), 1.0e-20)
     side = float(1.0)
     lobe = m.diffuse
-    if sample_pair(seed, index, DIMENSION_LOBE)[0] >= share:
+    if sample_pair(start.seed, start.index, DIMENSION_LOBE)[0] >= share:
         side = float(-1.0)
         lobe = m.translucent
         share = 1.0 - share
-    local = sample_cosine(sample_pair(seed, index, DIMENSION_DIRECTION))
+    local = sample_cosine(sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
     direction = wp.normalize(to_frame(surface.normal * side, local))
     pdf = wp.max(local[2] * share * INV_PI, PDF_MIN)
     weight = wp.vec3(0.0, 0.0, 0.0)
@@ -90,10 +81,8 @@ def start_gathering(
             shadow = bump_shadowing(surface.normal, point.normal, direction, True, True)
         weight = over_albedo(lobe * (shadow / wp.max(share, 1.0e-6)), total)
     footprint = pixel_footprint(view.camera, surface.depth) * FOOTPRINT_SCALE
-    samples_out.direction[block] = pack_normal(direction)
-    samples_out.pdf[block] = pdf
     start_ray(
-        paths_out, vertices_out, rays_out, slot, seed, index, weight, pdf,
+        samples_out, rays_out, paths_out, vertices_out, slot, start, direction, weight, pdf,
         wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE))
     if max_component(weight) > 0.0:
         send_ray(paths_out, slot, point, direction, VISIBLE_DIFFUSE, 1)

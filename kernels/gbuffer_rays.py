@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import CameraRay, camera_ray
-from .gbuffer import GBuffer
+from .gbuffer import SURFACE_EMITS, GBuffer
 from .geometry_math import is_finite3
 from .intersect import MISS, closest_filtered_hit, closest_hit
 from .lamp_hit import FAR
@@ -110,3 +110,5 @@ def add_lamps(
     total = total * view.exposure
     if is_finite3(total) and wp.length_sq(total) > 0.0:
         gbuffer_out.emission[pixel] = to_half(from_half(gbuffer_out.emission[pixel]) + rgba(total, 0.0))
+        # Whoever takes this picture for the light of the surface would find the lamp on it.
+        gbuffer_out.material[pixel] = gbuffer_out.material[pixel] | SURFACE_EMITS

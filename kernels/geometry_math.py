@@ -111,3 +111,13 @@ def power_heuristic(a: float, b: float) -> float:
         return 0.0
     r = b / a
     return 1.0 / (1.0 + r * r)
+
+
+@wp.func
+def over_albedo(light: wp.vec3, albedo: wp.vec3) -> wp.vec3:
+    """Return light / albedo for each channel; 0 where nothing is reflected."""
+    r = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        if albedo[c] > 0.0:
+            r[c] = light[c] / albedo[c]
+    return r

@@ -57,6 +57,8 @@ class HashGrid:
     """Mean irradiance / pi from lights; w = samples in it"""
     indirect: wp.array[wp.vec4]
     """The same from surfaces"""
+    spread: wp.array[wp.vec4]
+    """The same in the midst of a frame's sweeps, while light spreads (cache_spread.py)"""
     touched: wp.array[int]
     """Frame in which a ray last met the cell"""
     sums: wp.array[wp.int64]

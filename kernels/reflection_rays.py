@@ -23,8 +23,9 @@ from .cache_rays import IDLE, Vertices
 from .hash_grid import NO_CELL
 from .intersect import offset_origin
 from .lamp_hit import FAR
+from .packing import pack_normal
 from .paths import ENDED, Paths
-from .reflection_types import SAMPLE_FAR
+from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, place_pixel
 from .sampling import pixel_seed_of
 from .types import ShadingPoint
 from .view import View
@@ -127,15 +128,49 @@ def make_idle(paths: Paths, vertices: Vertices, slot: int):
     vertices.cell[slot] = NO_CELL
 
 
+@wp.struct
+class RayStart:
+    """Where a ray begins."""
+
+    block: int
+    """-1: the slot has no ray"""
+    pixel: int
+    seed: wp.uint32
+    """Of the pixel's sequences"""
+    index: wp.uint32
+    """In them"""
+
+
+@wp.func
+def find_start(
+    view: View, options: ReflectionOptions, samples: ReflectionSamples, rays: ReflectionRays, paths: Paths,
+    vertices: Vertices, slot: int,
+) -> RayStart:
+    """Return where the ray of a slot begins; slots without one are marked."""
+    start = RayStart()
+    if slot >= ray_count(rays, options.columns * options.rows):
+        make_idle(paths, vertices, slot)
+        start.block = -1
+        return start
+    start.block = rays.block[slot]
+    place = int(samples.place[start.block])
+    start.pixel = place_pixel(options, start.block, place)
+    start.seed = sequence_seed(view, options.width, start.pixel)
+    start.index = sequence_index(options.stride, view.frame, place)
+    return start
+
+
 @wp.func
 def start_ray(
-    paths: Paths, vertices: Vertices, rays: ReflectionRays, slot: int, seed: wp.uint32, index: wp.uint32,
-    weight: wp.vec3, pdf: float, cone: wp.vec2,
+    samples: ReflectionSamples, rays: ReflectionRays, paths: Paths, vertices: Vertices, slot: int, start: RayStart,
+    direction: wp.vec3, weight: wp.vec3, pdf: float, cone: wp.vec2,
 ):
-    """Set up a new slot, ended yet; see send_ray."""
+    """Set up a new slot with its first direction, ended yet; see send_ray."""
+    samples.direction[start.block] = pack_normal(direction)
+    samples.pdf[start.block] = pdf
     paths.state[slot] = ENDED
-    paths.seed[slot] = seed
-    paths.index[slot] = index
+    paths.seed[slot] = start.seed
+    paths.index[slot] = start.index
     paths.throughput[slot] = weight
     paths.pdf[slot] = pdf
     paths.cone[slot] = cone

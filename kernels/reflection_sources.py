@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_weights import squared_cosine, unit_normal
+from .filter_weights import squared_cosine
 from .gbuffer import SURFACE_MOVED, GBuffer
 from .geometry_math import max_component
 from .long_mean import (
@@ -25,13 +25,12 @@ from .long_mean import (
 from .packed_halves import unpack_halves
 from .packing import rgb
 from .reflection_blocks import ReflectionHistory, light_strength
-from .reflection_types import SAMPLE_FAR, ReflectionOptions, fading
+from .reflection_images import MirrorBefore, image_position, image_stretch, mirror_before
+from .reflection_types import LOBE_REFLECTION, SAMPLE_FAR, ReflectionOptions, fading
 from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import (
     SKY_DEPTH,
     View,
-    direction_to_eye,
-    film_position,
     pixel_footprint,
     previous_film_position,
     project,
@@ -43,10 +42,15 @@ DISTANCE_FRAMES = wp.constant(8.0)
 # Relative difference that is always taken for noise.
 MARGIN = wp.constant(0.05)
 # Roughness up to which the virtual image is preferred, and over which the preference moves to the surface.
-VIRTUAL_ROUGHNESS = wp.constant(0.1)
-VIRTUAL_BLEND = wp.constant(0.35)
+VIRTUAL_ROUGHNESS = wp.constant(0.5)
+VIRTUAL_BLEND = wp.constant(0.3)
+# Roughness up to which the distance of what is reflected is this frame's, and over which it becomes a mean's.
+DISTANCE_ROUGHNESS = wp.constant(0.1)
+DISTANCE_BLEND = wp.constant(0.35)
 # Roughness up to which means are read with the sharp interpolation: rougher reflections have nothing that would blur.
 SHARP_ROUGHNESS = wp.constant(0.3)
+# Distance [px] up to which the surface stands in for a virtual image that was not seen, and twice which it does not.
+FOLLOWED = wp.constant(1.0)
 # Least share of either source, before the scores.
 SOURCE_MINIMUM = wp.constant(0.02)
 # What another pixel of the frame before must have for the virtual image to be seen in it: squared cosine of the
@@ -138,27 +142,6 @@ def gather_reflection(
 
 
 @wp.func
-def image_position(views: wp.array[View], width: int, pixel: int, depth: float, closeness: float) -> wp.vec2:
-    """Return where in the frame before the virtual image of what a pixel reflects was: film-local [px].
-
-    The image lies on the ray of view, behind the surface by the distance of what is reflected, as in a flat mirror.
-    """
-    # Read where it is needed: held for long, its matrices would fill the registers.
-    view = views[0]
-    x = pixel % width
-    y = pixel // width
-    point = unproject(view.camera, film_position(view, x, y), depth)
-    image = point - direction_to_eye(view.camera, point) * wp.min(1.0 / wp.max(closeness, 1.0e-9), SAMPLE_FAR)
-    now = project(view.camera, image)
-    before = project(view.previous, image)
-    if before[2] <= 0.0:
-        return wp.vec2(-1.0e6, -1.0e6)
-    return wp.vec2(
-        float(x + view.camera.crop_x - view.previous.crop_x) + 0.5 - now[0] + before[0],
-        float(y + view.camera.crop_y - view.previous.crop_y) + 0.5 - now[1] + before[1])
-
-
-@wp.func
 def surface_roughness(gbuffer: GBuffer, pixel: int) -> float:
     """Return the roughness of a pixel's base lobe."""
     return float(gbuffer.material[pixel] & wp.uint32(65535)) * 1.5259022e-5
@@ -166,17 +149,14 @@ def surface_roughness(gbuffer: GBuffer, pixel: int) -> float:
 
 @wp.func
 def image_taps(
-    views: wp.array[View], gbuffer: GBuffer, previous: GBuffer, width: int, height: int, pixel: int, position: wp.vec2,
+    views: wp.array[View], gbuffer: GBuffer, previous: GBuffer, before: MirrorBefore, width: int, height: int,
+    pixel: int, position: wp.vec2,
 ) -> wp.uint8:
     """Return which of the four pixels around a place in the frame before show a surface like a pixel's."""
     view = views[0]
     left = int(wp.floor(position[0] - 0.5))
     low = int(wp.floor(position[1] - 0.5))
-    point = unproject(
-        view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
-    depth = project(view.previous, point)[2]
-    normal = unit_normal(gbuffer.normal[pixel])
-    plane_normal = unit_normal(gbuffer.geometric_normal[pixel])
+    depth = project(view.previous, before.position)[2]
     tolerance = IMAGE_PLANE * pixel_footprint(view.camera, gbuffer.depth[pixel])
     roughness = surface_roughness(gbuffer, pixel)
     taps = int(0)
@@ -190,9 +170,9 @@ def image_taps(
             other = unproject(view.previous, previous_film_position(view, i, j), wp.min(there, 1.0e15))
             # A flat mirror's plane may be seen aslant: its depth says nothing.
             alike = wp.abs(there - depth) < IMAGE_DEPTH * depth
-            alike = alike or wp.abs(wp.dot(plane_normal, other - point)) < tolerance
+            alike = alike or wp.abs(wp.dot(before.plane_normal, other - before.position)) < tolerance
             alike = alike and wp.abs(surface_roughness(previous, q) - roughness) < IMAGE_ROUGHNESS
-            alike = alike and squared_cosine(normal, previous.normal[q]) > IMAGE_COSINE2
+            alike = alike and squared_cosine(before.normal, previous.normal[q]) > IMAGE_COSINE2
             if alike and there < SKY_DEPTH:
                 taps = taps | (1 << tap)
         tap += 1
@@ -234,9 +214,16 @@ def gather_sources(
     width = options.width
     position = reprojection.position[pixel]
     taps = reprojection.taps[pixel]
-    smooth = fading(roughness, VIRTUAL_ROUGHNESS, VIRTUAL_BLEND)
-    # The image of a mirror that moves moves otherwise; at rest both places are one.
-    twofold = views[0].rest == 0 and smooth > 0.0 and (gbuffer.material[pixel] & SURFACE_MOVED) == wp.uint32(0)
+    prefer = fading(roughness, VIRTUAL_ROUGHNESS, VIRTUAL_BLEND)
+    smooth = fading(roughness, DISTANCE_ROUGHNESS, DISTANCE_BLEND)
+    reflects = options.lobe == LOBE_REFLECTION
+    if not reflects:
+        prefer = smooth
+    # At rest both places are one. Of a mirror that moved and was not seen before nothing is known, nor how glass that
+    # moves bends light.
+    twofold = views[0].rest == 0 and prefer > 0.0
+    if (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0) and (taps == wp.uint8(0) or not reflects):
+        twofold = False
     sharp = roughness < SHARP_ROUGHNESS
     surface = gather_reflection(history, previous, position, taps, sharp, width, options.height)
     if not twofold:
@@ -244,19 +231,27 @@ def gather_sources(
     closeness = light[3]
     if surface.length > 0.0:
         closeness = wp.lerp(surface.closeness, closeness, wp.max(smooth, 1.0 / DISTANCE_FRAMES))
-    there = image_position(views, width, pixel, gbuffer.depth[pixel], closeness)
+    before = mirror_before(views, gbuffer, previous, reprojection, width, pixel)
+    there = image_position(views, gbuffer, before, width, pixel, closeness)
     apart = there - position
     if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
         return surface
-    taps = image_taps(views, gbuffer, previous, width, options.height, pixel, there)
-    if taps == wp.uint8(0):
-        return surface
-    image = gather_reflection(history, previous, there, taps, sharp, width, options.height)
+    if reflects:
+        apart = apart * image_stretch(views, gbuffer, width, options.height, pixel, apart, closeness)
+        there = position + apart
+    taps = image_taps(views, gbuffer, previous, before, width, options.height, pixel, there)
+    image = no_reflection()
+    if taps != wp.uint8(0):
+        image = gather_reflection(history, previous, there, taps, sharp, width, options.height)
     if image.length <= 0.0:
+        if reflects:
+            # What is reflected has come into view: a mirror's surface showed something else where it was.
+            gone = wp.clamp((wp.length(apart) - FOLLOWED) / FOLLOWED, 0.0, 1.0)
+            surface.length = surface.length * (1.0 - smooth * gone)
         return surface
     if surface.length <= 0.0:
         return image
-    prefer = wp.clamp(smooth, SOURCE_MINIMUM, 1.0 - SOURCE_MINIMUM)
+    prefer = wp.clamp(prefer, SOURCE_MINIMUM, 1.0 - SOURCE_MINIMUM)
     for_image = prefer * score(image, rgb(light), deviation)
     for_surface = (1.0 - prefer) * score(surface, rgb(light), deviation)
     return blended(surface, image, for_image / (for_image + for_surface))

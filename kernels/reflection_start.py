@@ -7,23 +7,19 @@ import warp as wp
 
 from .cache_rays import Vertices
 from .gbuffer import GBuffer, barycentrics_of, load_material, load_surface, view_direction
-from .geometry_math import is_finite3, sqr
+from .geometry_math import is_finite3, max_component, over_albedo, sqr
 from .ggx import bounded_cap, ggx_d
 from .intersect import surface_point
-from .packing import pack_normal
 from .paths import Paths, make_hit
 from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
     ReflectionRays,
-    make_idle,
-    ray_count,
+    find_start,
     send_ray,
-    sequence_index,
-    sequence_seed,
     start_ray,
 )
-from .reflection_types import ReflectionOptions, ReflectionSamples, place_pixel
+from .reflection_types import ReflectionOptions, ReflectionSamples
 from .sampling import sample_pair
 from .specular_lobes import SpecularLobes, lobe_frame, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .tracing import FOOTPRINT_SCALE
@@ -53,16 +49,6 @@ def drawn_pdf(lobes: SpecularLobes, wi: wp.vec3) -> float:
     return pdf
 
 
-@wp.func
-def over_albedo(light: wp.vec3, albedo: wp.vec3) -> wp.vec3:
-    """Return light / albedo for each channel; 0 where nothing is reflected."""
-    r = wp.vec3(0.0, 0.0, 0.0)
-    for c in range(3):
-        if albedo[c] > 0.0:
-            r[c] = light[c] / albedo[c]
-    return r
-
-
 @wp.kernel
 def start_reflections(
     # In:
@@ -82,21 +68,17 @@ def start_reflections(
     One that lies below the surface is absorbed, as in the path tracer: a black sample, for which the albedo accounts.
     """
     slot = first + wp.tid()
-    if slot >= ray_count(rays_out, options.columns * options.rows):
-        make_idle(paths_out, vertices_out, slot)
-        return
     view = views[0]
-    block = rays_out.block[slot]
-    place = int(samples_out.place[block])
-    pixel = place_pixel(options, block, place)
+    start = find_start(view, options, samples_out, rays_out, paths_out, vertices_out, slot)
+    if start.block < 0:
+        return
+    pixel = start.pixel
     m = load_material(gbuffer, pixel)
     surface = load_surface(view, gbuffer, options.width, pixel)
     wo = view_direction(view, surface)
     lobes = specular_lobes(m, surface, wo)
-    seed = sequence_seed(view, options.width, pixel)
-    index = sequence_index(options.stride, view.frame, place)
-    pick = sample_pair(seed, index, DIMENSION_LOBE)
-    direction = sample_lobes(lobes, sample_pair(seed, index, DIMENSION_DIRECTION), pick[0])
+    pick = sample_pair(start.seed, start.index, DIMENSION_LOBE)
+    direction = sample_lobes(lobes, sample_pair(start.seed, start.index, DIMENSION_DIRECTION), pick[0])
     pdf = lobes_pdf(lobes, direction)
     weight = wp.vec3(0.0, 0.0, 0.0)
     if pdf > 0.0:
@@ -107,10 +89,8 @@ def start_reflections(
     if not wp.isfinite(drawn):
         drawn = 1.0e-6
     footprint = pixel_footprint(view.camera, surface.depth) * FOOTPRINT_SCALE
-    samples_out.direction[block] = pack_normal(direction)
-    samples_out.pdf[block] = drawn
     cone = wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE)
-    start_ray(paths_out, vertices_out, rays_out, slot, seed, index, weight, drawn, cone)
-    if wp.dot(direction, surface.geometric_normal) > 0.0 and wp.max(weight[0], wp.max(weight[1], weight[2])) > 0.0:
+    start_ray(samples_out, rays_out, paths_out, vertices_out, slot, start, direction, weight, drawn, cone)
+    if wp.dot(direction, surface.geometric_normal) > 0.0 and max_component(weight) > 0.0:
         point = surface_point(scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -wo)
         send_ray(paths_out, slot, point, direction, VISIBLE_GLOSSY, 1)

@@ -13,18 +13,20 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_material
 from .geometry_math import is_finite3, max_component
-from .long_mean import EDIT_FRAMES, history_cap, pack_mean
+from .long_mean import EDIT_FRAMES, history_cap, off_centre, pack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
 from .reflection_blocks import ReflectionHistory, ReflectionLight, filter_roughness, light_strength
 from .reflection_sources import (
+    DISTANCE_BLEND,
     DISTANCE_FRAMES,
+    DISTANCE_ROUGHNESS,
     MARGIN,
     ReflectionMean,
     gather_sources,
     no_reflection,
 )
-from .reflection_types import ReflectionOptions, is_sampled
+from .reflection_types import ReflectionOptions, fading, is_sampled
 from .reprojection import Reprojection
 from .view import SKY_DEPTH, View, settling_frames
 
@@ -42,6 +44,18 @@ SETTLED_FRAMES = wp.constant(64.0)
 # Standard errors by which means must differ for a change to be seen, and for one that was seen to go on.
 CHANGE_DEVIATIONS = wp.constant(2.5)
 CHANGING_DEVIATIONS = wp.constant(1.0)
+# Relative difference of distances from which on a mirror shows something else than before, and from twice which it does
+# so for sure; the difference of the light, in deviations, that must come with it.
+REPLACED_DISTANCE = wp.constant(0.04)
+REPLACED_DEVIATIONS = wp.constant(1.0)
+# Length and deviation, as a share of the difference, that a mean is left with then: where the edge of what is reflected
+# runs through a pixel, the next such difference is one of noise.
+RENEWED_LENGTH = wp.constant(0.5)
+RENEWED_DEVIATION = wp.constant(0.7)
+# Frames at rest in which that goes on, so that each pixel of a block has its turn; only means longer than the second
+# have what was before.
+RENEWED_FRAMES = wp.constant(4)
+RENEWED_MINIMUM = wp.constant(2.0)
 # Frames at rest after which changes are not looked for: what looks like one is chance.
 REST_FRAMES = wp.constant(16.0)
 # Frames at rest after which means are not kept near a frame's light any more: what came along from motion has gone.
@@ -92,6 +106,30 @@ def change_of(m: ReflectionMean, strength: float, moving: float) -> float:
     threshold = wp.where(m.changed == 1, CHANGING_DEVIATIONS, CHANGE_DEVIATIONS)
     known = wp.clamp((m.length - 2.0) * 0.2, 0.0, 1.0)
     return moving * known * wp.clamp((wp.abs(difference) / error - threshold) * 0.5, 0.0, 1.0)
+
+
+@wp.func
+def renewed(m: ReflectionMean, light: wp.vec4, roughness: float) -> ReflectionMean:
+    """Return the mean, made anew where a mirror shows something else: nearer or farther, and of other light.
+
+    What moves in a mirror is gone before means of its light have told that it has changed.
+    """
+    out = m
+    if m.length <= 0.0:
+        return out
+    far = wp.abs(light[3] - m.closeness) / (REPLACED_DISTANCE * wp.max(wp.max(light[3], m.closeness), 1.0e-9))
+    apart = max_component(wp.abs(rgb(light) - m.light))
+    strength = light_strength(rgb(light))
+    unit = REPLACED_DEVIATIONS * m.deviation + MARGIN * wp.max(strength, light_strength(m.light)) + 1.0e-7
+    share = wp.clamp(far - 1.0, 0.0, 1.0) * wp.clamp(apart / unit - 1.0, 0.0, 1.0)
+    share = share * fading(roughness, DISTANCE_ROUGHNESS, DISTANCE_BLEND)
+    if share > 0.0:
+        out.light = wp.lerp(m.light, rgb(light), share)
+        out.fast = wp.lerp(m.fast, strength, share)
+        out.closeness = wp.lerp(m.closeness, light[3], share)
+        out.deviation = wp.lerp(m.deviation, wp.max(m.deviation, RENEWED_DEVIATION * apart), share)
+        out.length = wp.lerp(m.length, wp.min(m.length, RENEWED_LENGTH), share)
+    return out
 
 
 @wp.func
@@ -167,6 +205,10 @@ def accumulate_reflections(
         if known:
             confidence = wp.max(state[1], START_CONFIDENCE * wp.clamp(1.0 - m.length / START_FRAMES, 0.0, 1.0))
             moving = wp.clamp(1.0 - float(view.rest) / REST_FRAMES, 0.0, 1.0)
+            if not off_centre(reprojection.position[pixel]):
+                # Neither camera nor mirror moves: those take what is reflected along with its image.
+                if view.rest == 0 or (view.rest <= RENEWED_FRAMES and m.length > RENEWED_MINIMUM):
+                    m = renewed(m, light, filter_roughness(material))
             near = wp.clamp(1.0 - float(view.rest) / CLAMP_FRAMES, 0.0, 1.0)
             # Means of a few frames know no deviation to go by.
             near *= wp.clamp(m.length / KNOWN_FRAMES, 0.0, 1.0)

@@ -27,6 +27,16 @@ def packed_normal(n):
     return np.uint32(x | (y << 16))
 
 
+def taps_inside(position):
+    """Return which of the four pixels around positions [h, w, 2; px] are in the picture: bits, uint8 [h, w]."""
+    taps = np.zeros(position.shape[:2], np.uint8)
+    corner = np.floor(position - 0.5).astype(int)
+    for tap in range(4):
+        at = corner + (tap & 1, tap >> 1)
+        taps |= np.where(((at >= 0) & (at < position.shape[1::-1])).all(-1), 1 << tap, 0).astype(np.uint8)
+    return taps
+
+
 class Frames:
     """A camera that looks down on a plane 5 m away, and one or both denoisers."""
 
@@ -74,11 +84,7 @@ class Frames:
         """Let every pixel have been `shift` pixels to the left and below of where it is now."""
         y, x = np.mgrid[: self.size, : self.size].astype(np.float32)
         position = np.stack([x + 0.5 - shift[0], y + 0.5 - shift[1]], -1)
-        taps = np.zeros((self.size, self.size), np.uint8)
-        corner = np.floor(position - 0.5).astype(int)
-        for tap in range(4):
-            at = corner + (tap & 1, tap >> 1)
-            taps |= np.where(((at >= 0) & (at < self.size)).all(-1), 1 << tap, 0).astype(np.uint8)
+        taps = taps_inside(position)
         if valid is not None:
             taps *= valid
         self.reprojection.position.assign(position.reshape(-1, 2))

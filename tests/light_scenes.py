@@ -5,6 +5,8 @@ import dataclasses
 
 import numpy as np
 from burnish.engine.scene import CameraData, SceneDelta, Visibility
+from burnish.engine.stress.scenes import StressScene, look_at
+from burnish.engine.stress.scenes import box as slab
 
 from tests import scenes
 
@@ -13,32 +15,10 @@ UNSEEN = int(Visibility.ALL & ~Visibility.CAMERA)
 
 
 @dataclasses.dataclass
-class LitScene:
-    """A scene with its camera."""
+class LitScene(StressScene):
+    """A scene with its camera and its lamps."""
 
-    delta: SceneDelta
-    camera: CameraData
     lamps: list = dataclasses.field(default_factory=list)
-
-
-def slab(low, high, inward=False):
-    """Make an axis-aligned box from its corners."""
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    made = scenes.box(1.0, inward)
-    return scenes.mesh(made.positions * (high - low) / 2 + (high + low) / 2, made.triangles)
-
-
-def look_at(eye, target, size, width=1.0):
-    """Make a perspective camera without roll; `width` is the picture's at distance 1."""
-    eye, target = np.asarray(eye, float), np.asarray(target, float)
-    back = (eye - target) / np.linalg.norm(eye - target)
-    right = np.cross((0.0, 0.0, 1.0) if abs(back[2]) < 0.999 else (0.0, 1.0, 0.0), back)
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = right, np.cross(back, right), back, eye
-    height = width * size[1] / size[0]
-    return CameraData(transform=tuple(matrix.ravel().tolist()), clip_start=1e-3,
-                      window=(-width / 2, width / 2, -height / 2, height / 2))
 
 
 def above(center, size, width, height=20.0):

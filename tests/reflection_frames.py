@@ -13,6 +13,8 @@ from burnish.kernels.reflection_types import LOBE_TRANSMISSION, ReflectionOption
 from burnish.kernels.reprojection import Reprojection
 from burnish.kernels.view import View
 
+from tests.denoise_frames import taps_inside
+
 DEVICE = os.environ.get("BURNISH_TEST_DEVICE", "cpu")
 LONG_AGO = 5000
 ALPHA_MIN = 5e-4
@@ -137,13 +139,8 @@ class ReflectionFrames:
         self.place_x = x
         v, u = np.mgrid[: self.size, : self.size].astype(np.float32)
         position = np.stack([u + 0.5 - shift, v + 0.5], -1)
-        taps = np.zeros((self.size, self.size), np.uint8)
-        corner = np.floor(position - 0.5).astype(int)
-        for tap in range(4):
-            at = corner + (tap & 1, tap >> 1)
-            taps |= np.where(((at >= 0) & (at < self.size)).all(-1), 1 << tap, 0).astype(np.uint8)
         self.reprojection.position.assign(position.reshape(-1, 2))
-        self.reprojection.taps.assign(taps.reshape(-1))
+        self.reprojection.taps.assign(taps_inside(position).reshape(-1))
 
     def trace(self, pixels, light):
         """Return direction, density, f cos / density * light and distance of one sample at each of some pixels.

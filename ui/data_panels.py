@@ -14,16 +14,21 @@ __all__ = ["classes"]
 DRAWN_TYPES = {'MESH', 'CURVE', 'SURFACE', 'META', 'FONT', 'LIGHT'}
 
 
-class BURNISH_LIGHT_PT_light(BurnishPanel, Panel):
-    """A lamp's colour, power and shape."""
+class LightPanel(BurnishPanel):
+    """Panel of a lamp."""
 
-    bl_label = "Light"
     bl_context = "data"
 
     @classmethod
     def poll(cls, context: Any) -> bool:
         """Show for lamps."""
         return bool(context.light) and super().poll(context)
+
+
+class BURNISH_LIGHT_PT_light(LightPanel, Panel):
+    """A lamp's colour, power and shape."""
+
+    bl_label = "Light"
 
     def draw(self, context: Any) -> None:
         """Draw."""
@@ -58,17 +63,16 @@ class BURNISH_LIGHT_PT_light(BurnishPanel, Panel):
                 sides.prop(light, "size_y", text="Y")
 
 
-class BURNISH_LIGHT_PT_beam(BurnishPanel, Panel):
+class BURNISH_LIGHT_PT_beam(LightPanel, Panel):
     """Where a lamp shines to."""
 
     bl_label = "Beam Shape"
     bl_parent_id = "BURNISH_LIGHT_PT_light"
-    bl_context = "data"
 
     @classmethod
     def poll(cls, context: Any) -> bool:
         """Show for lamps that have one."""
-        return bool(context.light) and context.light.type in {'SPOT', 'AREA'} and super().poll(context)
+        return super().poll(context) and context.light.type in {'SPOT', 'AREA'}
 
     def draw(self, context: Any) -> None:
         """Draw."""
@@ -81,17 +85,11 @@ class BURNISH_LIGHT_PT_beam(BurnishPanel, Panel):
         layout.prop(light, "show_cone")
 
 
-class BURNISH_LIGHT_PT_settings(BurnishPanel, Panel):
+class BURNISH_LIGHT_PT_settings(LightPanel, Panel):
     """How a lamp is sampled."""
 
     bl_label = "Settings"
-    bl_context = "data"
     bl_options = {'DEFAULT_CLOSED'}
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        """Show for lamps."""
-        return bool(context.light) and super().poll(context)
 
     def draw(self, context: Any) -> None:
         """Draw."""
@@ -101,17 +99,11 @@ class BURNISH_LIGHT_PT_settings(BurnishPanel, Panel):
             layout.prop(light.cycles, "use_multiple_importance_sampling", text="Multiple Importance")
 
 
-class BURNISH_LIGHT_PT_nodes(BurnishPanel, Panel):
+class BURNISH_LIGHT_PT_nodes(LightPanel, Panel):
     """A lamp's nodes."""
 
     bl_label = "Nodes"
-    bl_context = "data"
     bl_options = {'DEFAULT_CLOSED'}
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        """Show for lamps."""
-        return bool(context.light) and super().poll(context)
 
     def draw(self, context: Any) -> None:
         """Draw."""

@@ -46,6 +46,7 @@ from ..settings import CacheKey, CacheSettings
 from ..shadow_rays import make_options, make_queue
 from ..structures import is_flat
 from ..work_list import make_work_list
+from .cache_spreading import record_spreading
 
 __all__ = ["RadianceCachePass", "count_rays", "record_insertion", "smallest_cell"]
 
@@ -75,11 +76,12 @@ VERTEX_ARRAYS = {
     "position": wp.vec4, "geometric_normal": wp.uint32, "normal": wp.uint32, "reflectance": wp.vec4,
     "emission": wp.vec4, "cell": int,
 }
-BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3}
+BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3, "around": int,
+                 "beyond": int}
 
 CELL_ARRAYS = {
-    "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "touched": (int, 1),
-    "sums": (wp.int64, 6), "counts": (int, 2),
+    "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
+    "touched": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
 }
 """Type and entries a cell"""
 
@@ -145,7 +147,7 @@ class RadianceCachePass:
         self.grid = self._make_grid()
         control = CacheControl()
         control.age, control.live = self._zeros(1, int), self._zeros(1, int)
-        control.balance = self._zeros(int(cache_cells.LANES) * 9, wp.int64)
+        control.balance = self._zeros(2 * int(cache_cells.LANES) * 9, wp.int64)
         control.factors = self._zeros(2, wp.vec3)
         control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
         self.control = control
@@ -359,13 +361,16 @@ class RadianceCachePass:
             if self.deterministic and self.bounces > 0:
                 graph.launch(cache_claim.claim_coarse, self.bounces, [self.vertices], [grid], banded=False)
                 graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
+            if self.bounces > 0:
+                record_spreading(
+                    graph, views, grid, control, self.paths, self.vertices, self.count, self.bounces,
+                    float(settings.sample_cap), all_bounces=settings.bounces != 2)
             graph.launch(
                 cache_cells.accumulate_light, self.count + self.bounces,
-                [views, self.paths, self.vertices, self.count], [grid, control], banded=False)
+                [views, self.paths, self.vertices, self.count], [grid], banded=False)
             graph.join(*after)
-            graph.launch(cache_cells.measure_balance, 1, [grid], [control], banded=False)
             graph.launch(
-                cache_cells.update_cells, self.capacity, [views, control, float(settings.sample_cap)], [grid])
+                cache_cells.update_cells, self.capacity, [views, float(settings.sample_cap)], [grid, control])
             graph.launch(
                 cache_shade.resolve_rays, self.count,
                 [views, grid, self.paths, self.vertices, int(settings.cone_test)], [rays])

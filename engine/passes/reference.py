@@ -32,7 +32,7 @@ from ...kernels.types import Closure, FrameData, Scene
 from ..device import launch, record, run_bands
 from ..structures import is_flat
 
-__all__ = ["FilmBuffers", "ReferencePass"]
+__all__ = ["ANY_RAYS", "FLAT_RAYS", "Band", "FilmBuffers", "ReferencePass"]
 
 ANY_RAYS = tracing.trace_paths, tracing.trace_layers, tracing.trace_shadows, tracing.trace_shadow_layers
 FLAT_RAYS = (flat_paths.trace_flat_paths, flat_paths.trace_flat_path_layers, flat_paths.trace_flat_path_shadows,
@@ -116,7 +116,7 @@ class FilmBuffers:
 
 
 @dataclass
-class _Band:
+class Band:
     """A range of pixels with its own progress."""
 
     first: int
@@ -148,7 +148,7 @@ class ReferencePass:
     def __init__(self, device: str):
         self.device = device
         self.cuda = wp.get_device(device).is_cuda
-        self.bands: list[_Band] = []
+        self.bands: list[Band] = []
         self.slots: list[_Slot] = []
         self.lock = threading.Lock()
         self.rays = 0
@@ -162,7 +162,7 @@ class ReferencePass:
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
-        self.bands = [_Band(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+        self.bands = [Band(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
         largest = max(band.count for band in self.bands)
         capacity = max(largest, min(limit, largest * 64)) if self.cuda else largest
         self.slots = []
@@ -180,7 +180,8 @@ class ReferencePass:
         """Return how many samples every pixel has."""
         return min((band.samples for band in self.bands), default=0)
 
-    def _take_slot(self) -> _Slot:
+    def take_slot(self) -> _Slot:
+        """Return states for a band's paths that no other thread uses until they are given back."""
         with self.lock:
             if self.slots:
                 return self.slots.pop()
@@ -192,7 +193,8 @@ class ReferencePass:
         return _Slot(make_paths(self.capacity, self.passes, self.device), identity, queues, counter, frame,
                      self.capacity)
 
-    def _give_slot(self, slot: _Slot) -> None:
+    def give_slot(self, slot: _Slot) -> None:
+        """Give back what take_slot() returned."""
         with self.lock:
             self.slots.append(slot)
 
@@ -221,20 +223,20 @@ class ReferencePass:
                     count = max(1, min(self.capacity // band.count, target - low, 64))
                     self._trace_band(band, count, scene, frame, options, filter_table, buffers, should_stop)
             else:
-                def job(band: _Band) -> Callable[[], None]:
+                def job(band: Band) -> Callable[[], None]:
                     return lambda: self._trace_band(
                         band, 1, scene, frame, options, filter_table, buffers, should_stop)
 
                 run_bands(job(band) for band in behind)
 
     def _trace_band(
-        self, band: _Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
+        self, band: Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
         filter_table: wp.array, buffers: FilmBuffers, should_stop: Callable[[], bool],
     ) -> None:
         """Trace `count` samples of a band and add them to the film; an interrupted batch leaves no trace."""
         if should_stop():
             return
-        slot = self._take_slot()
+        slot = self.take_slot()
         try:
             row = frame.copy()
             row["sample"] = band.samples
@@ -245,10 +247,10 @@ class ReferencePass:
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
                 band.samples += count
         finally:
-            self._give_slot(slot)
+            self.give_slot(slot)
 
     def _trace(
-        self, slot: _Slot, band: _Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
+        self, slot: _Slot, band: Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
         should_stop: Callable[[], bool],
     ) -> bool:
         paths, total = slot.paths, band.count * count
@@ -261,7 +263,7 @@ class ReferencePass:
             self._bounce(slot, scene, options, queue, living, bounce)
             if should_stop():
                 return False
-            queue, living = self._compact(slot, queue, living, bounce)
+            queue, living = self.compact(slot, queue, living, bounce)
             if living == 0:
                 break
         return True
@@ -306,7 +308,7 @@ class ReferencePass:
             (record(kernel, inputs, [slot.paths], self.device), 2 if inputs is shadows else -1)
             for kernel, inputs in steps]
 
-    def _compact(self, slot: _Slot, queue: wp.array, living: int, bounce: int) -> tuple[wp.array, int]:
+    def compact(self, slot: _Slot, queue: wp.array, living: int, bounce: int) -> tuple[wp.array, int]:
         """Return the queue of the paths that go on, and their number."""
         following = slot.queues[bounce % 2]
         if not self.cuda:

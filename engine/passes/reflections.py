@@ -334,7 +334,7 @@ class ReflectionPass:
         with graph.section(self._section("hits")):
             # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
             graph.launch(
-                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid, self.control],
+                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid],
                 banded=False)
 
     def _record_shadows(self, graph: FrameGraph, what: RayScene, grid: HashGrid) -> None:

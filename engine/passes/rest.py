@@ -72,13 +72,15 @@ class RestBlend:
                self.device)
         self._frames += 1
 
-    def resolve(self, film_buffers: FilmBuffers, f_picture: wp.array, transparent: bool = True) -> wp.array:
+    def resolve(self, film_buffers: FilmBuffers, f_picture: wp.array, transparent: bool = True,
+                normals: wp.array | None = None) -> wp.array:
         """Return the picture on the device, valid until the next call: vec4 [h * w].
 
         Args:
             film_buffers: Path-traced samples since the picture came to rest, any number of them.
             f_picture: vec4 [h * w], what real-time frames have averaged at rest, exposed as the film is.
             transparent: Whether alpha is kept; else it is 1, as film.resolve_color has it.
+            normals: vec3 [h * w], mean normals to use instead of those of the frames at rest.
         """
         if not self._ready:
             self._allocate()
@@ -86,7 +88,8 @@ class RestBlend:
         color, coarser = self._colors
         launch(rest_blend.measure_variance, count, [0, film, f_picture], [self._variance], self.device)
         launch(rest_blend.start_residual, count,
-               [0, film, f_picture, self._variance, self._normals, self.width, self.height],
+               [0, film, f_picture, self._variance, self._normals if normals is None else normals,
+                self.width, self.height],
                [color, self._trust, self._guide, self._kept], self.device)
         for band in range(BANDS):
             residual = rest_blend.Residual()

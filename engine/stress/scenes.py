@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small scenes of the stress test, made from plain data without Blender. Lengths in metres, lamps in watts."""
+"""Small scenes of the stress test and of the other tests, made from plain data. Lengths in metres, lamps in watts."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ from ..scene import (
 )
 
 __all__ = [
-    "EYE", "Placed", "StressScene", "balls_in_sky", "box", "changed", "emitter", "lamp", "look_at", "make_mesh",
-    "make_scene", "material", "place", "principled", "quad", "room", "scaled_and_moved", "sphere", "world",
+    "EYE", "Placed", "StressScene", "balls_in_sky", "box", "changed", "emitter", "lamp", "look_at", "make_delta",
+    "make_mesh", "make_scene", "make_table", "material", "place", "principled", "quad", "room", "scaled_and_moved",
+    "sphere", "world",
 ]
 
 EYE = np.eye(4)
@@ -94,8 +95,8 @@ def quad(half: float = 1.0, steps: int = 1) -> MeshData:
     return made
 
 
-def sphere(radius: float = 1.0, rings: int = 24) -> MeshData:
-    """Return a smooth ball with UVs."""
+def sphere(radius: float = 1.0, rings: int = 24, smooth: bool = True) -> MeshData:
+    """Return a ball with UVs, smooth or flat."""
     theta, phi = np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1)
     t, f = np.meshgrid(theta, phi, indexing="ij")
     points = np.stack([np.sin(t) * np.cos(f), np.sin(t) * np.sin(f), np.cos(t)], -1).reshape(-1, 3)
@@ -110,7 +111,7 @@ def sphere(radius: float = 1.0, rings: int = 24) -> MeshData:
     corners = points[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     triangles = triangles[area > 1e-9]
-    return make_mesh(points * radius, triangles, normals=points, uvs=uv[triangles])
+    return make_mesh(points * radius, triangles, normals=points if smooth else None, uvs=uv[triangles])
 
 
 def box(low: Sequence[float], high: Sequence[float], *, inward: bool = False) -> MeshData:
@@ -126,12 +127,15 @@ def box(low: Sequence[float], high: Sequence[float], *, inward: bool = False) ->
 
 
 def material(kind: str = "DIFFUSE", weight: Any = 1.0, emission: Any = 0.0, **arguments: Any) -> MaterialData:
-    """Return a material of one closure with emission; an argument may be a function of the ProgramBuilder."""
+    """Return a material of one closure with emission; an argument may be a function of the ProgramBuilder.
+
+    A Principled BSDF scatters several times between its facets, unless `multiscatter` says otherwise.
+    """
     builder = ProgramBuilder()
     values = {name: value(builder) if callable(value) else value for name, value in arguments.items()}
     if not (np.isscalar(emission) and emission == 0.0):
         builder.emit((emission,) * 3 if np.isscalar(emission) else emission, 1.0, 1.0)
-    builder.closure(kind, weight, multiscatter=kind == "PRINCIPLED", **values)
+    builder.closure(kind, weight, **{"multiscatter": kind == "PRINCIPLED", **values})
     return MaterialData(name=kind.lower(), program=builder.finish(), has_emission=builder.has_emission(),
                         constant_emission=builder.constant_emission() if builder.has_emission() else None)
 
@@ -141,9 +145,9 @@ def principled(weight: Any = 1.0, emission: Any = 0.0, **arguments: Any) -> Mate
     return material("PRINCIPLED", weight, emission, **{**BLENDER_DEFAULTS, **arguments})
 
 
-def emitter(radiance: Any) -> MaterialData:
-    """Return a black material that emits a radiance, the same everywhere."""
-    return material(color=0.0, emission=radiance)
+def emitter(radiance: Any, reflectance: float = 0.0) -> MaterialData:
+    """Return a material that emits a radiance, the same everywhere; it is black unless it reflects too."""
+    return material(weight=float(reflectance > 0.0), emission=radiance, color=reflectance)
 
 
 def world(radiance: float | Sequence[float] = 0.0, build: Callable[[ProgramBuilder], None] | None = None) -> WorldData:
@@ -204,15 +208,22 @@ def make_table(objects: Sequence[Placed]) -> InstanceTable:
         random_id=np.zeros(count, np.uint32), color=np.ones((count, 4), np.float32))
 
 
-def make_scene(
-    meshes: dict[Key, MeshData], objects: Sequence[Placed], materials: dict[Key, MaterialData], camera: CameraData,
+def make_delta(
+    meshes: dict[Key, MeshData], objects: Sequence[Placed], materials: dict[Key, MaterialData],
     lights: Iterable[LightData] = (), background: WorldData | float = 0.0, images: dict[Key, ImageData] | None = None,
-) -> StressScene:
-    """Return a scene of its parts."""
-    delta = SceneDelta(
+) -> SceneDelta:
+    """Return all of a scene's parts."""
+    return SceneDelta(
         full=True, meshes=meshes, instances=make_table(objects), materials=materials, lights=list(lights),
         world=background if isinstance(background, WorldData) else world(background), images=images or {})
-    return StressScene(delta, camera)
+
+
+def make_scene(
+    meshes: dict[Key, MeshData], objects: Sequence[Placed], materials: dict[Key, MaterialData], camera: CameraData,
+    *others: Any, **named: Any,
+) -> StressScene:
+    """Return a scene of its parts; further arguments as of `make_delta`."""
+    return StressScene(make_delta(meshes, objects, materials, *others, **named), camera)
 
 
 def changed(scene: StressScene, **fields: Any) -> StressScene:

@@ -68,6 +68,7 @@ def test_profile_lists_passes_and_their_floor(burnish: Burnish, tmp_path: Path) 
     passes = {each["name"]: each for each in results["scenes"]["cornell"]["passes"]}
     assert passes["G-buffer"]["rays"] == 32 * 20 and passes["Radiance cache"]["launches"] > 10
     assert passes["Reflections"]["milliseconds"] > 0 and "| Composite |" in table
+    assert "| Primary rays |" in table and " ms at rest, " in table
     assert (tmp_path / "profile_cornell.png").is_file()
 
 

@@ -49,7 +49,8 @@ def steel_floor(size: tuple[int, int]) -> made.GlossyScene:
     return made.thin_emitter(size, made.metal(0.18), upright=True)
 
 
-# One frame alone: what is to be seen is not averaged away.
+# One frame alone: what is to be seen is not averaged away. After few frames: at rest filters become narrow and sparks
+# are kept.
 ALONE: Groups = {"denoiser": {"reflection_temporal": False, "antialiasing": False}}
 LOOK_UP: Groups = {"reflections": {"hit_lighting": False, "screen_reuse": False}}
 
@@ -86,7 +87,7 @@ FIGURES = (
                   "probe rays by the BRDF": {"probes": {"specular_rays": True}},
                   "hits lit themselves": {"reflections": {"hit_lighting": True}}}),
     Figure(
-        number="5", title="From a quarter of the pixels to all of them", scene=made.rough_metal, shared=ALONE,
+        number="5", title="From a quarter of the pixels to all of them", scene=made.rough_metal, shared=ALONE, frames=8,
         caption="The paper: one ray for 2 x 2 pixels a frame, upscaled by the last pass of the filter. One frame "
         "alone, with a ray for each pixel, for 2 x 2 and for 4 x 4.",
         variants={"each pixel": {"reflections": {"resolution": "full"}},
@@ -108,7 +109,7 @@ FIGURES = (
         "alone.",
         variants={f"k = {k}": {"denoiser": {"reflection_iterations": k}} for k in (2, 3, 4)}),
     Figure(
-        number="9", title="Jitter where roughness varies", scene=made.brushed, shared=ALONE,
+        number="9", title="Jitter where roughness varies", scene=made.brushed, shared=ALONE, frames=8,
         caption="The paper: where roughness changes from pixel to pixel the fixed steps of the last pass leave a "
         "pattern; jitter of its taps hides it. One frame alone.",
         variants={"without jitter": {"reflections": {"jitter": False}},
@@ -116,7 +117,7 @@ FIGURES = (
         crop=(0.3, 0.25, 0.4, 0.4)),
     Figure(
         number="10", title="Clean-up of sparks and missing samples", scene=made.bumpy_chrome,
-        shared=merged(ALONE, {"reflections": {"screen_reuse": False}}),
+        shared=merged(ALONE, {"reflections": {"screen_reuse": False}}), frames=8,
         caption="The paper: samples that found no cell, and sparks, are replaced by their neighbours before the filter "
         "spreads them. One frame alone.",
         variants={"without clean-up": {"denoiser": {"reflection_cleanup": False}},

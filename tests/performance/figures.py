@@ -17,8 +17,6 @@ import os
 import re
 import sys
 import textwrap
-import time
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -28,12 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from burnish.engine.device import choose_device  # noqa: E402
+from burnish.engine.measure_moving import fly_over, measure_frames  # noqa: E402
 from burnish.engine.presets import apply_preset  # noqa: E402
 from burnish.engine.scene import CameraData, SceneDelta  # noqa: E402
 from burnish.engine.settings import Device, Preset, ReflectionResolution, RenderSettings  # noqa: E402
 
 from tests import glossy_scenes  # noqa: E402
-from tests.performance.camera_path import flight  # noqa: E402
 from tests.performance.figure_list import (  # noqa: E402
     FIGURES,
     OUTSIDE,
@@ -43,8 +41,14 @@ from tests.performance.figure_list import (  # noqa: E402
     merged,
     table_row,
 )
-from tests.performance.frame_timing import section_medians, timed  # noqa: E402
-from tests.performance.measured_session import Measured, compare, positions_of, settings_for, truth_of  # noqa: E402
+from tests.performance.measured_session import (  # noqa: E402
+    Measured,
+    attempt,
+    compare,
+    positions_of,
+    settings_for,
+    truth_of,
+)
 from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa: E402
 
 RECIPES = {"paper": Preset.PAPER, "ours": Preset.BALANCED}
@@ -56,6 +60,7 @@ Figures and Table 1 of Eto, Meunier, Harada, Boissé, *Real-time rendering of gl
 two-level radiance caching* (SIGGRAPH Asia 2023 Technical Communications), from this engine. `make figures` draws them
 to `out/figures` and writes this page; `make figures SCENES="A.blend B.blend"` adds those that need scenes.
 
+Frames alone are shown: the path-traced samples that join them at rest, from the eighth frame on, are switched off.
 *paper* is the preset Paper: the paper's constants, and what it does not mend left unmended. *ours* is the preset
 Balanced. lum: ratio of mean luminances to Reference's; dark: the same below 1; FLIP of sRGB pictures; relMSE: squared
 error over the squared truth + 0.01. ms: of a whole frame at this size.
@@ -138,7 +143,7 @@ def draw(figure: Figure, options: argparse.Namespace, page: Page) -> None:
         rows += [row, errors]
     name = f"figure_{figure.number}.png"
     save_sheet(options.output / name, rows)
-    caption = f"{figure.caption} After {figure.frames} frames."
+    caption = f"{figure.caption} After {figure.frames} frames at {size[0]} x {size[1]}, {options.device}."
     page.add(f"Figure {figure.number}. {figure.title}", caption, [name], table)
 
 
@@ -217,25 +222,15 @@ def time_scene(subject: Subject, options: argparse.Namespace) -> dict[str, dict[
     reference.load(subject.delta)
     places = positions_of(reference, subject.camera(small), small)
     reference.close()
-    cameras = flight(subject.camera(size), places, 60)
+    cameras = fly_over(subject.camera(size), places, 60)
     found: dict[str, dict[str, float]] = {}
     for recipe in RECIPES:
         measured = Measured(recipe_settings(recipe, options))
         measured.load(subject.delta)
-        number = 0
-
-        def frames(count: int, measured: Measured = measured) -> None:
-            nonlocal number
-            for _ in range(count):
-                measured.look(cameras[abs((number + 59) % 118 - 59)], size)  # there and back again
-                measured.session.step(1)
-                number += 1
-
-        frames(min(24, options.timing_frames))
+        times = measure_frames(measured.session, measured.settings, cameras, size, frames=options.timing_frames)
         rows = dict.fromkeys((*list(PAPER_TABLE)[:-1], "total", OUTSIDE, "whole frame, wall time"), 0.0)
-        rows["whole frame, wall time"] = timed(
-            measured, lambda frames=frames: frames(options.timing_frames)) / options.timing_frames * 1e3
-        for section, milliseconds in section_medians(measured, frames).items():
+        rows["whole frame, wall time"] = times.in_a_row
+        for section, milliseconds in times.sections.items():
             rows[table_row(section)] += milliseconds
         rows["total"] = sum(rows[name] for name in list(PAPER_TABLE)[:-1])
         measured.close()
@@ -309,13 +304,7 @@ def main() -> int:
     for name, job in jobs.items():
         if wanted and name not in wanted:
             continue
-        start = time.perf_counter()
-        try:
-            job()
-        except Exception:  # noqa: BLE001  one bad figure must not cost the others
-            traceback.print_exc()
-            failed += 1
-        print(f"    {name}: {time.perf_counter() - start:.0f} s", flush=True)
+        failed += attempt(name, job)
     return int(failed > 0)
 
 

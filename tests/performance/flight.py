@@ -6,7 +6,7 @@
 
 Rests for 64 frames at the first camera, whose error is the measure, then flies one frame a camera. Every tenth frame
 is compared with Reference. Flicker is the standard deviation over `window` frames of the sRGB values of the same
-points (camera_path.py), as they are and after an 8x8 blur; Cycles renders those frames one by one, each with another
+points (steadiness.py), as they are and after an 8x8 blur; Cycles renders those frames one by one, each with another
 seed, and denoises each alone.
 """
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-import traceback
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +22,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
+from burnish.engine.measure_moving import fly_over  # noqa: E402
+
 from tests.performance.blend_scene import BlendScene  # noqa: E402
-from tests.performance.camera_path import blurred, flicker, flight  # noqa: E402
 from tests.performance.measured_session import (  # noqa: E402
     COLUMNS,
     LEGEND,
     Measured,
+    attempt,
     compare,
     error_cells,
     positions_of,
@@ -37,6 +38,7 @@ from tests.performance.measured_session import (  # noqa: E402
 )
 from tests.performance.settings_text import parse_settings  # noqa: E402
 from tests.performance.sheets import Table, flip_map, save_sheet, tone  # noqa: E402
+from tests.performance.steadiness import blurred, flicker  # noqa: E402
 
 REST = 64
 """Frames at rest before the flight"""
@@ -52,7 +54,7 @@ class Flight:
         self.reference = Measured(settings_for("reference", options.device, seed=12345))
         self.reference.load(self.scene.extract())
         places = positions_of(self.reference, self.scene.camera, self.size)
-        self.cameras = flight(self.scene.camera, places, options.frames)
+        self.cameras = fly_over(self.scene.camera, places, options.frames)
         first = max(0, options.frames // 2 - options.window)
         self.window = range(first, min(first + options.window, options.frames))
         self.rows: list[list[tuple[np.ndarray, str]]] = []
@@ -117,6 +119,11 @@ class Flight:
             table.add(self.scene.name, label, grain, blotches, share)
 
 
+def measure(path: Path, options: argparse.Namespace, table: Table, flickers: Table) -> None:
+    """Add the rows of one scene."""
+    Flight(path, options).measure(table, flickers)
+
+
 def main() -> int:
     """Measure all scenes; one that fails is told and skipped."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -136,13 +143,7 @@ def main() -> int:
     options = parser.parse_args()
     table = Table(("scene", "picture", "of FLIP at rest", *COLUMNS))
     flickers = Table(("scene", "picture", "flicker", "flicker 8x8", "share of pixels"))
-    failed = 0
-    for path in options.scenes:
-        try:
-            Flight(path, options).measure(table, flickers)
-        except Exception:  # noqa: BLE001  one bad scene must not cost the others
-            traceback.print_exc()
-            failed += 1
+    failed = sum(attempt(path.stem, measure, path, options, table, flickers) for path in options.scenes)
     title = f"Flight of {options.frames} frames, {options.size[0]} x {options.size[1]}, {options.device}"
     table.save(options.output / "flight.md", title, f"{LEGEND} {GOALS}")
     flickers.save(options.output / "flight.md", "Flicker")

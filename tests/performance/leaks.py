@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measure energy, leaks and the speed of changes on scenes made in code, each against its goal. Run by hand.
 
+Of the real-time integrator frames alone are judged, without the path-traced samples that join them at rest.
+
     python tests/performance/leaks.py [--device cuda] [--size 320 180] [--only furnace,wall,balls,boxes] [--long]
         [--set GROUP.FIELD=VALUE] [--output out/leaks]
 
@@ -91,7 +93,8 @@ def main() -> int:
         print(f"    {name}: {time.perf_counter() - start:.1f} s", flush=True)
         if panels:
             save_sheet(options.output / f"{name}.png", [panels[i:i + 3] for i in range(0, len(panels), 3)])
-    table.save(options.output / "leaks.md", f"Energy, leaks, changes: {options.integrator}, {options.device}")
+    title = f"Energy, leaks, changes: {options.integrator}, frames alone, {options.device}"
+    table.save(options.output / "leaks.md", title)
     return int(missed > 0)
 
 

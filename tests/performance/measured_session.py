@@ -7,7 +7,8 @@ import dataclasses
 import importlib
 import sys
 import time
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from burnish.engine.image_error import ImageError, compare  # noqa: E402
+from burnish.engine.measure import wait  # noqa: E402
 from burnish.engine.scene import CameraData, SceneDelta  # noqa: E402
 from burnish.engine.session import Session  # noqa: E402
 from burnish.engine.settings import (  # noqa: E402
@@ -42,6 +44,18 @@ def error_cells(error: ImageError) -> tuple[Any, ...]:
             error.bad_pixels)
 
 
+def attempt(name: str, work: Callable[..., object], *arguments: Any) -> int:
+    """Do some work and print how long it took; return 1 if it failed, which is told and costs the others nothing."""
+    start, failed = time.perf_counter(), 0
+    try:
+        work(*arguments)
+    except Exception:  # noqa: BLE001  one bad scene must not cost the others
+        traceback.print_exc()
+        failed = 1
+    print(f"    {name}: {time.perf_counter() - start:.0f} s", flush=True)
+    return failed
+
+
 def settings_for(integrator: str, device: str, seed: int = 0, **groups: dict[str, Any]) -> RenderSettings:
     """Return settings with single fields changed, as in `cache={"bounces": 1}`."""
     settings = RenderSettings(
@@ -57,7 +71,6 @@ class Measured:
     def __init__(self, settings: RenderSettings):
         self.settings = settings
         self.session = Session(settings)
-        self.device = self.session.device
 
     def load(self, delta: SceneDelta) -> None:
         """Take in a scene or a change of it."""
@@ -78,9 +91,7 @@ class Measured:
 
     def wait(self) -> None:
         """Wait for the device."""
-        import warp as wp
-
-        wp.synchronize_device(self.device)
+        wait(self.session)
 
     def picture(self) -> np.ndarray:
         """Return the newest picture [h, w, 3], scene-linear, bottom row first."""
@@ -88,8 +99,7 @@ class Measured:
 
     def counts(self) -> dict[str, int]:
         """Return what the last frame counted: rays by kind, cells, probes; empty where nothing is counted."""
-        counts = getattr(self.session, "counts", None)
-        return {str(k): v for k, v in (counts() or {}).items()} if counts is not None else {}
+        return self.session.counts()
 
     def close(self) -> None:
         """Give the device's memory back."""
@@ -145,4 +155,5 @@ def positions_of(measured: Measured, camera: CameraData, size: tuple[int, int]) 
     return positions
 
 
-__all__ = ["COLUMNS", "LEGEND", "Measured", "compare", "error_cells", "positions_of", "settings_for", "truth_of"]
+__all__ = ["COLUMNS", "LEGEND", "Measured", "attempt", "compare", "error_cells", "positions_of", "settings_for",
+           "truth_of"]

@@ -4,8 +4,9 @@
     python tests/performance/mirror_scenes.py [--device cuda] [--size 320 192] [--frames 1,8,64,256] [--truth 4096]
         [--only off_screen,coated] [--set GROUP.FIELD=VALUE] [--output out/mirror_scenes]
 
-Run by hand; needs no Blender. Writes tables (Markdown and JSON) and for each scene pictures beside Reference's with
-their error enlarged four times. Movers: error in every fourth frame of the movement, and 8 and 64
+Run by hand; needs no Blender. Judges frames alone: the path-traced samples that at rest join them from the eighth on
+are off (scene_pair.filtered_settings). Writes tables (Markdown and JSON) and for each scene pictures beside
+Reference's with their error enlarged four times. Movers: error in every fourth frame of the movement, and 8 and 64
 frames after it.
 """
 
@@ -14,8 +15,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-import time
-import traceback
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from tests import glossy_scenes  # noqa: E402
-from tests.performance.measured_session import COLUMNS, LEGEND, compare, error_cells  # noqa: E402
+from tests.performance.measured_session import COLUMNS, LEGEND, attempt, compare, error_cells  # noqa: E402
 from tests.performance.scene_pair import ScenePair, add_options, dark  # noqa: E402
 from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa: E402
 
@@ -32,7 +31,9 @@ REST = 64
 """Frames before anything moves"""
 EVERY = 4
 AFTER = 8
-GOALS = "Goals at 256 frames: lum and dark 0.98..1.02, no bad pixels; movers 8 frames after: FLIP as 64 after."
+GOALS = """\
+Frames alone, without path-traced samples at rest.
+Goals at 256 frames: lum and dark 0.98..1.02, no bad pixels; movers 8 frames after: FLIP as 64 after."""
 
 
 def measure(name: str, options: argparse.Namespace, table: Table) -> None:
@@ -86,15 +87,8 @@ def main() -> int:
     add_options(parser, "out/mirror_scenes", (320, 192), "1,8,64,256", 4096)
     options = parser.parse_args()
     table = Table(("scene", "picture", "ms", *COLUMNS, "truth's noise"))
-    failed = 0
-    for name in [name for name in options.only.split(",") if name] or glossy_scenes.MIRRORS:
-        start = time.perf_counter()
-        try:
-            measure(name, options, table)
-        except Exception:  # noqa: BLE001  one bad scene must not cost the others
-            traceback.print_exc()
-            failed += 1
-        print(f"    {name}: {time.perf_counter() - start:.0f} s", flush=True)
+    names = [name for name in options.only.split(",") if name] or glossy_scenes.MIRRORS
+    failed = sum(attempt(name, measure, name, options, table) for name in names)
     title = f"Mirrors and glass: {options.integrator}, {options.size[0]} x {options.size[1]}, {options.device}"
     table.save(options.output / "mirror_scenes.md", title, f"{LEGEND}\n{GOALS}")
     table.save_json(options.output / "mirror_scenes.json")

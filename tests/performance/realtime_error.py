@@ -2,13 +2,14 @@
 """Measure the real-time integrator at rest against Reference, beside Cycles with OpenImageDenoise. Run by hand.
 
     python tests/performance/realtime_error.py SCENE.blend... [--device cuda] [--size 640 360] [--frames 1,8,64,256]
-        [--truth 4096] [--truth-exr cycles_640x360.exr] [--cycles 64] [--as-is | --both] [--shrink 2]
+        [--truth 4096] [--truth-exr cycles_640x360.exr] [--cycles 64] [--as-is | --both] [--alone] [--shrink 2]
         [--set cache.bounces=1] [--output out/realtime_error]
 
 Scenes are made matte (matte_copy.py) unless --as-is; --both measures the unmodified scene and its matte copy. The truth
 is Reference's picture of the same copy, kept in the output folder; with --truth-exr unmodified scenes are held against
-the file of that name beside the scene, and Reference is measured against it too. Prints and saves a table (Markdown
-and JSON) and, for each scene, pictures side by side.
+the file of that name beside the scene, and Reference is measured against it too. At rest path-traced samples join the
+frames from the eighth on, and steps count both; --alone measures frames alone, the real-time method by itself. Prints
+and saves a table (Markdown and JSON) and, for each scene, pictures side by side.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from tests.performance.measured_session import (  # noqa: E402
     COLUMNS,
     LEGEND,
     Measured,
+    attempt,
     compare,
     error_cells,
     settings_for,
@@ -80,13 +81,17 @@ def measure(path: Path, matte: bool, options: argparse.Namespace, table: Table) 
 
     if from_file:
         take("Reference", ours, "")
-    measured = Measured(settings_for(options.integrator, options.device, **parse_settings(options.set)))
+    groups = parse_settings(options.set)
+    if options.alone:
+        groups["denoiser"] = {"path_traced_rest": False, **groups.get("denoiser", {})}
+    measured = Measured(settings_for(options.integrator, options.device, **groups))
     measured.load(delta)
     measured.look(scene.camera, size)
+    kind_of_steps = f"{options.integrator} alone" if options.alone else options.integrator
     done = 0
     for count in sorted(int(text) for text in options.frames.split(",")):
         seconds = measured.frames(count - done)
-        take(f"{options.integrator} {count}", measured.picture(), f"{seconds / (count - done) * 1e3:.2f}")
+        take(f"{kind_of_steps} {count}", measured.picture(), f"{seconds / (count - done) * 1e3:.2f}")
         done = count
     own = list(maps)
     for line in measured.session.report.text().splitlines():
@@ -118,20 +123,17 @@ def main() -> int:
     kinds.add_argument("--as-is", action="store_true", help="leave the materials as they are")
     kinds.add_argument("--both", action="store_true", help="measure unmodified scenes and their matte copies")
     parser.add_argument("--truth-exr", help="name of a file beside each scene, the truth of the unmodified scene")
+    parser.add_argument("--alone", action="store_true", help="frames alone, without path-traced samples at rest")
     parser.add_argument("--shrink", type=int, default=1, help="save pictures smaller by this factor")
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.FIELD=VALUE")
     parser.add_argument("--output", type=Path, default=Path("out/realtime_error"))
     options = parser.parse_args()
     table = Table(("scene", "materials", "picture", "ms", *COLUMNS))
-    failed = 0
     copies = (False, True) if options.both else (not options.as_is,)
-    for path, matte in ((path, matte) for path in options.scenes for matte in copies):
-        try:
-            measure(path, matte, options, table)
-        except Exception:  # noqa: BLE001  one bad scene must not cost the others
-            traceback.print_exc()
-            failed += 1
-    title = f"{options.integrator} at rest, {options.size[0]} x {options.size[1]}, {options.device}"
+    failed = sum(attempt(path.stem, measure, path, matte, options, table)
+                 for path in options.scenes for matte in copies)
+    kind = "frames alone at rest" if options.alone else "at rest"
+    title = f"{options.integrator}, {kind}, {options.size[0]} x {options.size[1]}, {options.device}"
     table.save(options.output / "error.md", title, f"{LEGEND}\nms: a frame, or Cycles' whole render. {GOALS}")
     table.save_json(options.output / "error.json")
     return int(failed > 0)

@@ -4,7 +4,9 @@
     python tests/performance/roughness_sweep.py [--device cuda] [--size 128 96] [--frames 128] [--truth 1024]
         [--step 0.05] [--only ball,room,ramp,width,lamps] [--set GROUP.FIELD=VALUE] [--output out/roughness_sweep]
 
-Run by hand; needs no Blender. Writes a table (Markdown and JSON) and pictures; returns 1 where a goal is missed.
+Run by hand; needs no Blender. Judges frames alone: the path-traced samples that at rest join them from the eighth on
+are off (scene_pair.filtered_settings). Writes a table (Markdown and JSON) and pictures; returns 1 where a goal is
+missed.
 ball, room: a ball under a sky and a lamp, a floor before coloured walls, of one roughness after the other; ramp: all
 of them in one floor; width: a thin bar's reflection in a floor; lamps: radii of 0 to 1 m reflected in a floor.
 """
@@ -14,8 +16,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-import time
-import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from tests import glossy_scenes as made  # noqa: E402
+from tests.performance.measured_session import attempt  # noqa: E402
 from tests.performance.scene_pair import (  # noqa: E402
     ScenePair,
     add_options,
@@ -39,6 +40,7 @@ from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa:
 
 COLUMNS = ("scene", "metallic", "roughness", "ratio", "ratio below 1", "step", "width", "truth's noise", "bad", "met")
 LEGEND = """\
+Frames alone, without path-traced samples at rest.
 ratio: luminance over the reflecting surface by Reference's (goal 0.98..1.02, judged below 1.0; of lamps, of all
 pixels). step: change of that ratio from the roughness before (goal: at most 0.01). width: ratio of the RMS widths of a
 bar's reflection (goal 0.9..1.1, judged alone). Mirror images of lamps smaller than 0.1 m are too few pixels to judge.
@@ -201,16 +203,11 @@ def main() -> int:
     table = Table(COLUMNS)
     missed = 0
     for name in wanted:
-        start = time.perf_counter()
         sweep = Sweep(name, options, table)
-        try:
-            SWEEPS[name](sweep)
-        except Exception:  # noqa: BLE001  one bad scene must not cost the others
-            traceback.print_exc()
-            missed += 1
+        missed += attempt(name, SWEEPS[name], sweep)
         sweep.save()
         missed += sweep.missed
-        print(f"    {name}: {sweep.missed} goals missed, {time.perf_counter() - start:.0f} s", flush=True)
+        print(f"    {name}: {sweep.missed} goals missed", flush=True)
     frames = options.frames.split(",")[-1]
     title = f"Roughness: {options.integrator}, {frames} frames, {options.size[0]} x {options.size[1]}, {options.device}"
     table.save(options.output / "roughness_sweep.md", title, LEGEND)

@@ -24,8 +24,9 @@ import warp as wp
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
+from burnish.engine.measure_moving import fly_over  # noqa: E402
+
 from tests.performance.blend_scene import BlendScene  # noqa: E402
-from tests.performance.camera_path import flight  # noqa: E402
 from tests.performance.measured_session import Measured, settings_for  # noqa: E402
 from tests.performance.settings_text import parse_settings  # noqa: E402
 from tests.performance.sheets import Table  # noqa: E402
@@ -60,7 +61,7 @@ def measure(path: Path, options: argparse.Namespace, table: Table) -> bool:
         sessions[on].load(delta)
         sessions[on].look(scene.camera, size, passes=("Combined", "Position"))
         sessions[on].frames(1)
-    cameras = flight(scene.camera, sessions[False].session.read("Position"), options.frames)
+    cameras = fly_over(scene.camera, sessions[False].session.read("Position"), options.frames)
     pictures, seconds = {False: [], True: []}, {False: [], True: []}
     for run in range(-1, options.repeat):
         for on, measured in sessions.items():

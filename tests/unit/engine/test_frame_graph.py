@@ -49,8 +49,11 @@ def addresses(values):
 
 CELL_KERNELS = {
     "insert_vertices", "accumulate_light", "choose_reflection_lights", "start_bounces", "gather_bounces",
-    "follow_near_hits"}
-"""They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there"""
+    "follow_near_hits", "balance_bounces", "find_beyond", "spread_cells", "spread_light"}
+"""They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there.
+
+Those that spread light have the sums and counts of indirect light for themselves: other branches add direct light.
+"""
 
 
 def overlap(a, b):

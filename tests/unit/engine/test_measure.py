@@ -8,7 +8,8 @@ import dataclasses
 import numpy as np
 import pytest
 from burnish.engine import measure
-from burnish.engine.measure import Stop, View, frame_curve, frames_within, moving_frames, progressive_shots, shoot
+from burnish.engine.measure import Stop, View, frame_curve, frames_within, progressive_shots, shoot
+from burnish.engine.measure_moving import measure_pan
 from burnish.engine.scene import CameraData
 
 
@@ -19,10 +20,10 @@ class FakeSession:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now, self.samples_done, self.timed, self.resets = 0.0, 0, False, 0
-        self.frame_times = {"Rays": 1.0}
+        self.frame_times, self.kernel_times = {"Rays": 1.0}, {"trace": 1.0}
         self.cameras: list[CameraData] = []
         monkeypatch.setattr(measure.time, "perf_counter", lambda: self.now)
-        monkeypatch.setattr(measure, "wait", lambda session: None)
+        monkeypatch.setattr(measure.wp, "synchronize_device", lambda device: None)
 
     def reset(self) -> None:
         self.now, self.samples_done, self.resets = self.now + 1.0, 0, self.resets + 1
@@ -87,9 +88,9 @@ def test_a_stopped_run_gives_no_more_pictures(session: FakeSession) -> None:
 def test_a_pan_ends_in_the_view(session: FakeSession) -> None:
     """Move the camera before every frame, end in the asked view, and time frames and read-backs apart."""
     camera = CameraData()
-    moving = moving_frames(session, None, View(camera, 2, 2, None, ("Combined",)), 12, 100.0)
+    moving = measure_pan(session, None, View(camera, 2, 2, None, ("Combined",)), 12, 100.0)
     assert session.cameras[-1] == camera and len(set(session.cameras)) == 12 == moving.frames
-    assert moving.frame_seconds == pytest.approx(0.01) and moving.read_seconds == pytest.approx(0.002)
+    assert moving.frame == pytest.approx(10.0) and moving.read == pytest.approx(2.0)
     assert moving.sections == {"Rays": 1.0}
     axis = np.array(session.cameras[0].transform).reshape(4, 4)[:3, :3]
     assert axis @ axis.T == pytest.approx(np.eye(3), abs=1e-12)
@@ -98,5 +99,5 @@ def test_a_pan_ends_in_the_view(session: FakeSession) -> None:
 def test_a_slow_pan_is_cut_short(session: FakeSession) -> None:
     """Render fewer frames than asked for where they take too long, and still end in the view."""
     camera = dataclasses.replace(CameraData(), clip_end=7.0)
-    moving = moving_frames(session, None, View(camera, 2, 2, None, ("Combined",)), 1000, 0.1)
+    moving = measure_pan(session, None, View(camera, 2, 2, None, ("Combined",)), 1000, 0.1)
     assert 3 <= moving.frames < 20 and session.cameras[-1] == camera

@@ -237,6 +237,23 @@ def test_screen_reuse_changes_little():
     assert shadows[0] < 0.8 * shadows[1]
 
 
+def test_lamps_are_no_light_of_what_is_behind_them():
+    """Take from the frame before the light of a wall, not that of a lamp that the camera sees in front of it."""
+    lamp = scenes.lamp("POINT", 20.0, scenes.place(0.0, 0.8, 0.7), radius=0.15)
+    meshes = {"floor": slab((-2, -2, -0.1), (2, 2, 0)), "back": slab((-2, 2, 0), (2, 2.1, 2))}
+    delta = scenes.delta(
+        meshes, [("floor", np.eye(4), "m"), ("back", np.eye(4), "grey")],
+        MATERIALS | {"m": glossy(color=0.02, roughness=0.4)}, [lamp], background=0.05)
+    view = look_at((0.0, -1.8, 0.9), (0.0, 0.8, 0.5), SIZE, 1.2)
+    on, off = (Samples(delta, view, screen_reuse=reuse) for reuse in (True, False))
+    for each in (on, off):
+        each.mean(12)
+    assert on.session.read()[..., 0].max() > 10.0
+    with_it, without = on.mean(24), off.mean(24)
+    np.testing.assert_allclose(with_it.mean(), without.mean(), rtol=0.15)
+    assert with_it.max() < 1.5 * without.max()
+
+
 @pytest.mark.parametrize("stride", [1, 2, 4])
 def test_pixels_take_turns(stride):
     """Give each place of a block its turn once, and each turn an index of its own."""

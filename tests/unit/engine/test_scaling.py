@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from burnish.addon import bench_modes
 from burnish.engine import scaling
-from burnish.engine.camera_flight import fly
-from burnish.engine.frame_measure import FrameTimes, measure_frames, there_and_back
 from burnish.engine.frame_profile import PASSES, buffer_bytes, pass_of, profile_frame
 from burnish.engine.generated_scenes import SceneRecipe, generate_scene, scene_flight
+from burnish.engine.measure_moving import FrameTimes, fly, measure_frames, there_and_back
 from burnish.engine.presets import GOVERNED, KEPT
 from burnish.engine.scene import CameraData
 from burnish.engine.session import Session
@@ -80,7 +79,7 @@ def test_measured_frames_show_the_scene(measured):
 def test_profile_tells_of_every_pass(measured):
     """Count all launches and all bytes of the passes recorded, once, and put every section under a pass."""
     session, times = measured
-    profile = profile_frame(session.pipeline, times)
+    profile = profile_frame(session, times)
     by_name = {each.name: each for each in profile.passes}
     assert sum(profile.launches.values()) == sum(each.launches for each in profile.passes) > 60
     assert sum(each.milliseconds for each in profile.passes) == pytest.approx(sum(times.sections.values()))
@@ -94,6 +93,7 @@ def test_profile_tells_of_every_pass(measured):
     # Key, direct, indirect, touched, sums, counts.
     assert buffer_bytes(session.pipeline)["Radiance cache"] > cells * (8 + 16 + 16 + 4 + 48 + 8)
     assert all(each.floor_bytes > 0.0 and each.floor > 0.0 for each in profile.passes)
+    assert profile.at_rest > 0.0 and profile.triangles == session.stats.triangles > 3000
 
 
 def test_sections_belong_to_passes():

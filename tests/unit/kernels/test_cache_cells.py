@@ -28,6 +28,8 @@ class Cells:
         self.grid.keys.fill_(1)
         self.grid.indirect.fill_(wp.vec4(light, light, light, samples))
         self.control.age = wp.zeros(1, dtype=int, device=device)
+        self.control.live = wp.zeros(1, dtype=int, device=device)
+        self.grid.live = wp.ones(1, dtype=int, device=device)
         self.control.factors = wp.ones(2, dtype=wp.vec3, device=device)
         self.views = ViewTracker(device)
         camera = frame_row(scenes.camera_above(), 64, 64, (0, 0, 64, 64), 0, np.zeros(3))
@@ -42,7 +44,7 @@ class Cells:
         sums[:, 3:], counts[:, 1] = round(samples * light * float(FIXED_ONE)), samples
         self.grid.sums.assign(sums.ravel())
         self.grid.counts.assign(counts.ravel())
-        wp.launch(update_cells, int(BUCKET), [0, self.views.array, self.control, SAMPLE_CAP], [self.grid],
+        wp.launch(update_cells, int(BUCKET), [0, self.views.array, SAMPLE_CAP], [self.grid, self.control],
                   device=self.device)
 
     @property

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera flight (engine/camera_flight.py), and pictures of one frame looked up from another by world positions."""
+"""How steady frames of a moving camera are: pictures of one frame looked up from another by world positions."""
 
 from __future__ import annotations
 
 import numpy as np
-from burnish.engine.camera_flight import fly_over as flight
 from burnish.engine.scene import CameraData, CameraKind
 
 
@@ -85,4 +84,4 @@ def blurred(picture: np.ndarray, size: int) -> np.ndarray:
     return ((a - b) / size**2).astype(np.float32)
 
 
-__all__ = ["blurred", "flicker", "flight", "look_up", "project"]
+__all__ = ["blurred", "flicker", "look_up", "project"]

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Open Image Denoise 2, called through ctypes: device and filter are kept between pictures, images stay on the device.
+
+The extension ships no copy, which could clash with Blender's: the caller tells where Blender's library is. On CUDA the
+library's own CUDA device filters Warp's arrays in place, on Warp's stream; where that fails its processor device gets
+copies. The C interface is that of OpenImageDenoise/oidn.h, version 2.2 and later.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import functools
+import logging
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import warp as wp
+
+from .errors import BurnishError
+
+__all__ = ["Images", "denoise", "load", "release"]
+
+log = logging.getLogger(__name__)
+
+DEVICE_CPU = 1
+"""OIDN_DEVICE_TYPE_CPU"""
+FORMAT_FLOAT3 = 3
+"""OIDN_FORMAT_FLOAT3"""
+
+_handle, _text, _size = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t
+
+SIGNATURES = {
+    "oidnNewDevice": (_handle, [ctypes.c_int]),
+    "oidnNewCUDADevice": (_handle, [ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_void_p), ctypes.c_int]),
+    "oidnSetDeviceBool": (None, [_handle, _text, ctypes.c_bool]),
+    "oidnCommitDevice": (None, [_handle]),
+    "oidnReleaseDevice": (None, [_handle]),
+    "oidnGetDeviceError": (ctypes.c_int, [_handle, ctypes.POINTER(_text)]),
+    "oidnNewFilter": (_handle, [_handle, _text]),
+    "oidnSetSharedFilterImage": (None, [_handle, _text, ctypes.c_void_p, ctypes.c_int, *[_size] * 5]),
+    "oidnSetFilterBool": (None, [_handle, _text, ctypes.c_bool]),
+    "oidnCommitFilter": (None, [_handle]),
+    "oidnExecuteFilter": (None, [_handle]),
+    "oidnReleaseFilter": (None, [_handle]),
+}
+"""Result and argument types of the functions that are used"""
+
+_lock = threading.Lock()
+_kept: dict[tuple[str, int, int], Denoiser] = {}
+"""Devices with their filters, by library, CUDA device and its stream; -1 and 0 for the processor"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Images:
+    """What a filter reads and writes, all on one Warp device, one entry a pixel."""
+
+    color: wp.array
+    """vec4, scene-linear; the fourth channel is not read"""
+    output: wp.array
+    """vec4; the fourth channel is not written"""
+    albedo: wp.array | None = None
+    """vec3, 0..1: keeps textures sharp"""
+    normal: wp.array | None = None
+    """vec3, keeps edges sharp; only together with `albedo`"""
+    width: int
+    height: int
+    clean: bool = False
+    """Whether albedo and normal are free of noise"""
+
+
+@functools.cache
+def load(path: Path) -> ctypes.CDLL:
+    """Return the library in a file, ready to be called.
+
+    Raises:
+        BurnishError: It can't be loaded, or is of another version.
+    """
+    try:
+        found = ctypes.CDLL(str(path))
+        for name, (result, arguments) in SIGNATURES.items():
+            function = getattr(found, name)
+            function.restype, function.argtypes = result, arguments
+    except (OSError, AttributeError) as error:
+        raise BurnishError(f"The Open Image Denoise library '{path}' can't be used: {error}") from error
+    return found
+
+
+def denoise(library: ctypes.CDLL, images: Images, processor: bool = False) -> str:
+    """Filter `images.color` into `images.output` and return what did it: "cuda" or "cpu".
+
+    Args:
+        library: From `load`.
+        images: On the processor or a CUDA device.
+        processor: Use the library's processor device although the images are on a CUDA device.
+
+    Raises:
+        BurnishError: The library failed, on the processor too.
+    """
+    device = images.color.device
+    with _lock:
+        if device.is_cuda and not processor:
+            try:
+                keep_denoiser(library, device.ordinal, device.stream.cuda_stream or 0).run(images)
+                return "cuda"
+            except BurnishError as error:
+                # A driver that is too old, no memory left: the processor makes the same picture, later.
+                log.warning("%s Denoising on the processor instead.", error)
+                drop_denoiser(library, device.ordinal, device.stream.cuda_stream or 0)
+        kept = keep_denoiser(library, -1, 0)
+        if not device.is_cuda:
+            kept.run(images)
+            return "cpu"
+        copies = Images(
+            **{name: None if image is None else wp.array(image.numpy(), dtype=image.dtype, device="cpu")
+               for name, image in (("color", images.color), ("output", images.output), ("albedo", images.albedo),
+                                   ("normal", images.normal))},
+            width=images.width, height=images.height, clean=images.clean)
+        kept.run(copies)
+        wp.copy(images.output, copies.output)
+        return "cpu"
+
+
+def keep_denoiser(library: ctypes.CDLL, ordinal: int, stream: int) -> Denoiser:
+    """Return the denoiser of a CUDA device and stream, or with -1 of the processor; made when first asked for."""
+    key = library._name, ordinal, stream
+    if key not in _kept:
+        if not _kept:
+            atexit.register(release)
+        _kept[key] = Denoiser(library, ordinal, stream)
+    return _kept[key]
+
+
+def drop_denoiser(library: ctypes.CDLL, ordinal: int, stream: int) -> None:
+    """Release the denoiser of a CUDA device and stream, if there is one."""
+    denoiser = _kept.pop((library._name, ordinal, stream), None)
+    if denoiser is not None:
+        denoiser.release()
+
+
+def release() -> None:
+    """Release all devices and filters; the next picture makes them anew."""
+    with _lock:
+        while _kept:
+            _kept.popitem()[1].release()
+        atexit.unregister(release)
+
+
+class Denoiser:
+    """A device of the library and its filter, set up for the size and guides of the newest picture."""
+
+    def __init__(self, library: ctypes.CDLL, ordinal: int, stream: int):
+        """Make the device: the CUDA device of Warp's `stream`, or with -1 the processor.
+
+        Raises:
+            BurnishError: There is none.
+        """
+        self.library = library
+        self._filter, self._made_for = None, ()
+        if ordinal < 0:
+            self._device = library.oidnNewDevice(DEVICE_CPU)
+            if self._device:
+                # Pinned threads would stay in the way of the renderer's own.
+                library.oidnSetDeviceBool(self._device, b"setAffinity", False)
+        else:
+            self._device = library.oidnNewCUDADevice(
+                ctypes.byref(ctypes.c_int(ordinal)), ctypes.byref(ctypes.c_void_p(stream)), 1)
+        try:
+            # Without a device the error is that of its creation.
+            if self._device:
+                library.oidnCommitDevice(self._device)
+            self._check()
+            if not self._device:
+                raise BurnishError("Open Image Denoise failed: no device.")
+        except BurnishError:
+            self.release()
+            raise
+
+    def _check(self) -> None:
+        message = ctypes.c_char_p()
+        if self.library.oidnGetDeviceError(self._device, ctypes.byref(message)):
+            reason = (message.value or b"unknown error").decode(errors="replace").rstrip(".")
+            raise BurnishError(f"Open Image Denoise failed: {reason}.")
+
+    def run(self, images: Images) -> None:
+        """Filter a picture and wait for it.
+
+        Raises:
+            BurnishError: The library failed.
+        """
+        library = self.library
+        guided, both = images.albedo is not None, images.albedo is not None and images.normal is not None
+        made_for = images.width, images.height, guided, both, images.clean
+        if made_for != self._made_for:
+            self._release_filter()
+            self._filter = library.oidnNewFilter(self._device, b"RT")
+            self._check()
+            library.oidnSetFilterBool(self._filter, b"hdr", True)
+            if both and images.clean:
+                library.oidnSetFilterBool(self._filter, b"cleanAux", True)
+            self._made_for = made_for
+        used = {b"color": images.color, b"output": images.output}
+        if guided:
+            used[b"albedo"] = images.albedo
+        if both:
+            used[b"normal"] = images.normal
+        for name, image in used.items():
+            stride = 4 * (4 if image.dtype == wp.vec4 else 3)
+            library.oidnSetSharedFilterImage(
+                self._filter, name, image.ptr, FORMAT_FLOAT3, images.width, images.height, 0, stride,
+                stride * images.width)
+        library.oidnCommitFilter(self._filter)
+        library.oidnExecuteFilter(self._filter)
+        self._check()
+
+    def _release_filter(self) -> None:
+        if self._filter:
+            self.library.oidnReleaseFilter(self._filter)
+        self._filter, self._made_for = None, ()
+
+    def release(self) -> None:
+        """Give everything back."""
+        self._release_filter()
+        if self._device:
+            self.library.oidnReleaseDevice(self._device)
+        self._device = None

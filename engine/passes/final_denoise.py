@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The last step of a final render that is to be denoised: guides, Open Image Denoise, and what it may not take away.
+
+The mean P of path-traced samples is denoised (O), not the picture that real-time frames make: their noise is the same
+in neighbouring pixels, which no denoiser of this kind expects. O is blurred where P is noisy, however little, so P's
+detail that stands out of its noise is put back as the picture at rest does it (rest.py with O in the frames' place,
+R), and the two are averaged: their errors differ. O's share falls with the samples, so that the limit is P.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+import numpy as np
+import warp as wp
+
+from ...kernels import denoise_guides, film, layers, materials, misses, tracing
+from ...kernels.paths import Options
+from ...kernels.types import Scene
+from .. import oidn
+from ..device import launch, run_bands
+from ..structures import is_flat
+from .reference import ANY_RAYS, FLAT_RAYS, Band, FilmBuffers, ReferencePass
+from .rest import RestBlend
+
+__all__ = ["FinalDenoise"]
+
+GUIDE_SAMPLES = 4, 16
+"""Fewest and most jittered first hits a pixel that the guides are averaged of: else twice the picture's samples. More
+make pictures hardly better, and eight take about as long as a sample"""
+MIRRORS = 4
+"""Mirrors and panes of glass that guides look through, one behind the other"""
+EVEN_SAMPLES = 1000.0
+"""Samples at which O and R count the same"""
+FRAMES_SHARE = 0.25
+"""Of the picture made with real-time frames, where there are any, beside O: it errs differently from R"""
+
+
+class FinalDenoise:
+    """Guides and pictures of one session; nothing is allocated before the first picture."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.used = ""
+        """Device that filtered the newest picture: "cuda" or "cpu" """
+        self._guides: tuple[wp.array, wp.array] | None = None
+        self._guide_samples = 0
+        self._blend = RestBlend(device)
+
+    def reset(self) -> None:
+        """Forget the guides: what is seen has changed."""
+        self._guides = None
+
+    def guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
+               samples: int) -> tuple[wp.array, wp.array]:
+        """Return albedo, 0..1, and normal of what each pixel shows, seen in mirrors too: vec3 [h * w] each.
+
+        Args:
+            tracer: Its bands are the picture's; lends its path states.
+            scene: The device scene.
+            frame: One FrameData row.
+            options: Of the path tracer, without passes.
+            table: Inverse distribution of the pixel filter.
+            samples: How many the picture has, or frames.
+        """
+        fewest, most = GUIDE_SAMPLES
+        wanted = min(max(2 * samples, fewest), most)
+        if self._guides is None or self._guide_samples < wanted:
+            count = sum(band.count for band in tracer.bands)
+            albedo, normal = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
+
+            def job(band: Band) -> Callable[[], None]:
+                return lambda: find_guides(tracer, band, scene, frame, options, table, wanted, albedo, normal)
+
+            if tracer.cuda:
+                for band in tracer.bands:
+                    job(band)()
+            else:
+                run_bands(job(band) for band in tracer.bands)
+            self._guides, self._guide_samples = (albedo, normal), wanted
+        return self._guides
+
+    def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
+            traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool) -> wp.array:
+        """Return the denoised picture on the device: vec4 [h * w].
+
+        Args:
+            library: From oidn.load.
+            guides: From `guides`.
+            size: Width and height [px].
+            clean: Whether the guides are free of noise: not where the lens blurs them.
+            traced: Path-traced samples and what traced them; None without.
+            picture: vec4 [h * w], what real-time frames (and samples, if any) make; None without frames. One of the
+                two must be there.
+            transparent: Whether alpha is kept.
+
+        Raises:
+            BurnishError: The library failed.
+        """
+        count = size[0] * size[1]
+        source = picture
+        if traced is not None:
+            samples, buffers = traced[0].samples_done, traced[1]
+            source = wp.empty(count, dtype=wp.vec4, device=self.device)
+            launch(film.resolve_color, count, [buffers.film, int(transparent)], [source], self.device)
+        albedo, normal = guides
+        denoised = wp.clone(source)
+        self.used = oidn.denoise(library, oidn.Images(
+            color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean))
+        # A pixel that the denoiser has spoilt stays as it came.
+        launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
+        if traced is None:
+            return denoised
+        if (self._blend.width, self._blend.height) != size:
+            self._blend.resize(*size)
+        detailed = self._blend.resolve(buffers, denoised, transparent, normal)
+        share = EVEN_SAMPLES / (EVEN_SAMPLES + samples)
+        launch(denoise_guides.mix_pictures, count, [0, denoised, detailed, share], [denoised], self.device)
+        if picture is not None:
+            launch(denoise_guides.mix_pictures, count, [0, denoised, picture, 1.0 - FRAMES_SHARE], [denoised],
+                   self.device)
+        return denoised
+
+
+def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
+                samples: int, albedo: wp.array, normal: wp.array) -> None:
+    """Add the guides of a band's pixels, means of so many samples, in as few batches as there are path states for."""
+    done, device = 0, tracer.device
+    trace, trace_layers, *_ = FLAT_RAYS if is_flat(scene) else ANY_RAYS
+    slot = tracer.take_slot()
+    try:
+        while done < samples:
+            count = max(1, min(slot.capacity // band.count, samples - done))
+            row = frame.copy()
+            row["sample"] = done
+            slot.frame.assign(row)
+            queue, living = slot.identity, band.count * count
+            launch(tracing.generate_paths, living, [slot.frame, table, band.first, band.count], [slot.paths], device)
+            for bounce in range(MIRRORS + 1):
+                launch(trace, living, [scene, queue], [slot.paths], device)
+                if options.filtered == 1:
+                    launch(trace_layers, living, [scene, queue], [slot.paths], device)
+                    launch(layers.filter_paths, living, [scene, queue], [slot.paths], device)
+                launch(misses.shade_misses, living, [scene, options, queue], [slot.paths], device)
+                launch(materials.evaluate_materials, living, [scene, queue], [slot.paths], device)
+                launch(denoise_guides.find_surfaces, living, [scene, options.exposure, MIRRORS, queue], [slot.paths],
+                       device)
+                queue, living = tracer.compact(slot, queue, living, bounce)
+                if living == 0:
+                    break
+            launch(denoise_guides.average_guides, band.count,
+                   [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], device)
+            done += count
+    finally:
+        tracer.give_slot(slot)

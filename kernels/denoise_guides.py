@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What guides the final denoiser: albedo and normal of the first surface that is no mirror, and the mix of pictures.
+
+Paths of the reference integrator are followed to their first hit, and on through what reflects or refracts sharply: a
+mirror's own colour would tell the denoiser nothing about what is seen in it (Open Image Denoise's documentation asks
+for the same). Nothing is lit, so that few samples are free of noise.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import is_finite3, max_component, mean_component
+from .intersect import MISS, offset_origin
+from .lamp_hit import FAR
+from .layering import prepare_bsdf
+from .packing import rgb
+from .paths import ENDED, Paths, hit_point
+from .principled import sample_bsdf
+from .reflectance import bsdf_albedo
+from .sampling import DIMENSION_BSDF, DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, sample_pair
+from .types import HOLDOUT, Bsdf, BsdfSample, Scene, ShadingPoint
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Perceptual roughness below which a lobe counts as a mirror.
+SHARP = wp.constant(0.15)
+
+# Share of a surface's albedo that sharp lobes must have for paths to go on.
+SHARP_SHARE = wp.constant(0.5)
+
+
+@wp.func
+def tells_little(scene: Scene, bsdf: Bsdf, wo: wp.vec3, albedo: wp.vec3) -> bool:
+    """Tell whether a surface mostly shows what it reflects or refracts."""
+    parts = bsdf_albedo(scene.tables, bsdf, wo)
+    sharp = float(0.0)
+    if parts.roughness < SHARP:
+        sharp += mean_component(parts.reflected)
+    if wp.sqrt(bsdf.glass_alpha) < SHARP:
+        sharp += mean_component(parts.transmitted)
+    return sharp > SHARP_SHARE * mean_component(albedo)
+
+
+@wp.func
+def go_on(point: ShadingPoint, sample: BsdfSample, tint: wp.vec3, paths: Paths, path: int):
+    """Set up the next ray."""
+    paths.state[path] = point.ray_depth + 1
+    paths.throughput[path] = wp.cw_mul(tint, sample.weight)
+    paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
+    paths.direction[path] = sample.wi
+    paths.t[path] = FAR
+    # The world counts in full: no light is sampled here.
+    paths.pdf[path] = 0.0
+    paths.kind[path] = sample.kind
+    paths.cone[path] = wp.vec2(point.footprint, paths.cone[path][1])
+
+
+@wp.kernel
+def find_surfaces(
+    # In:
+    scene: Scene,
+    exposure: float,
+    bounces: int,
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """End paths at surfaces: `radiance` becomes their albedo, `shadow_light` their normal; mirrors send them on.
+
+    Of the world, which shade_misses has put into `radiance`, and of what shines the light is the albedo, at most 1.
+    """
+    path = queue[wp.tid()]
+    bounce = paths_out.state[path]
+    none = wp.vec3(0.0, 0.0, 0.0)
+    paths_out.state[path] = ENDED
+    albedo = none
+    normal = none
+    if paths_out.hit[path][0] == MISS:
+        albedo = rgb(paths_out.radiance[path]) * exposure
+    else:
+        point = hit_point(scene, paths_out, path, bounce)
+        tint = paths_out.throughput[path]
+        if bounce > 0 or (scene.geometry.instances[point.instance].visibility & HOLDOUT) == 0:
+            bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
+            parts = bsdf_albedo(scene.tables, bsdf, point.wo)
+            albedo = parts.diffuse + parts.translucent + parts.specular + parts.transmitted
+            if bounce < bounces and tells_little(scene, bsdf, point.wo, albedo):
+                dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
+                lobe = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
+                u = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_BSDF)
+                sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], lobe[0]))
+                usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
+                if usable and (sample.delta == 1 or sample.roughness < SHARP):
+                    go_on(point, sample, tint, paths_out, path)
+                    return
+            albedo = wp.cw_mul(tint, albedo + bsdf.emission * exposure)
+            normal = bsdf.normal
+    paths_out.radiance[path] = wp.vec4(albedo[0], albedo[1], albedo[2], 1.0)
+    paths_out.shadow_light[path] = normal
+
+
+@wp.kernel
+def average_guides(
+    # In:
+    paths: Paths,
+    first_pixel: int,
+    pixel_count: int,
+    sample_count: int,
+    share: float,
+    # Out:
+    albedo_out: wp.array[wp.vec3],
+    normal_out: wp.array[wp.vec3],
+):
+    """Add the guides of each pixel's paths, each by its share in the mean."""
+    local = wp.tid()
+    albedo = wp.vec3(0.0, 0.0, 0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    sample = int(0)
+    while sample < sample_count:
+        path = sample * pixel_count + local
+        a = rgb(paths.radiance[path])
+        n = paths.shadow_light[path]
+        if is_finite3(a):
+            albedo += wp.vec3(wp.clamp(a[0], 0.0, 1.0), wp.clamp(a[1], 0.0, 1.0), wp.clamp(a[2], 0.0, 1.0))
+        if is_finite3(n):
+            normal += n
+        sample += 1
+    albedo_out[first_pixel + local] = albedo_out[first_pixel + local] + albedo * share
+    normal_out[first_pixel + local] = normal_out[first_pixel + local] + normal * share
+
+
+@wp.kernel
+def mix_pictures(
+    first: int,
+    # In:
+    denoised: wp.array[wp.vec4],
+    picture: wp.array[wp.vec4],
+    share: float,
+    # Out:
+    picture_out: wp.array[wp.vec4],
+):
+    """Mix a share of the denoised picture with another, whose alpha stays; a pixel that is not finite is left out."""
+    pixel = first + wp.tid()
+    d = rgb(denoised[pixel])
+    p = picture[pixel]
+    c = rgb(p)
+    if is_finite3(d):
+        c = wp.lerp(c, d, share)
+    picture_out[pixel] = wp.vec4(c[0], c[1], c[2], p[3])

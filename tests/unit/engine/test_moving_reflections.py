@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Test that means of reflections follow what is seen in turning mirrors, rough floors and curved metal."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from burnish.engine.scene import SceneDelta
+from burnish.engine.session import Session
+from burnish.engine.settings import CacheSettings, DenoiserSettings, Integrator, SamplingSettings
+
+from tests import glossy_scenes, scenes
+from tests.glossy_scenes import glossy, metal, panel
+from tests.light_scenes import look_at, slab
+
+SIZE = (64, 40)
+WARM_UP = 24
+
+
+def settings(integrator, **denoiser):
+    """Return settings of frames alone, or of Reference."""
+    return dataclasses.replace(
+        scenes.SETTINGS, sampling=SamplingSettings(integrator=integrator),
+        cache=CacheSettings(capacity=16, cell_pixels=8.0, minimum_cell=0.02),
+        denoiser=DenoiserSettings(path_traced_rest=False, **denoiser))
+
+
+def last_frame(delta, steps, integrator=Integrator.REALTIME, count=1, **denoiser):
+    """Return the picture after changes and cameras, one frame each; of Reference the last alone, of `count` samples."""
+    chosen = settings(integrator, **denoiser)
+    session = Session(chosen)
+    session.update(delta)
+    first = True
+    for change, camera in steps if integrator == Integrator.REALTIME else steps[-1:]:
+        if change is not None:
+            session.update(change)
+        session.configure(chosen, camera, *SIZE)
+        session.step(WARM_UP if first and integrator == Integrator.REALTIME else count)
+        first = False
+    picture = session.read()[..., :3].astype(np.float64)
+    session.close()
+    return picture
+
+
+def errors(delta, steps, samples=96):
+    """Return the mean errors of the last frame with means over frames and without, bright sparks left out."""
+    truth = last_frame(delta, steps, Integrator.REFERENCE, samples)
+    found = []
+    for temporal in (True, False):
+        picture = last_frame(delta, steps, reflection_temporal=temporal, antialiasing=False)
+        found.append(np.minimum(np.abs(np.minimum(picture, 1.0) - np.minimum(truth, 1.0)), 0.5).mean())
+    return found
+
+
+def around(camera, degrees, steps):
+    """Return cameras that go around the point (0, 0.6) of the floor."""
+    cameras = []
+    for i in range(steps):
+        a = np.radians(degrees) * i
+        turn, there, back = np.eye(4), np.eye(4), np.eye(4)
+        turn[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+        there[1, 3], back[1, 3] = 0.6, -0.6
+        matrix = there @ turn @ back @ np.array(camera.transform).reshape(4, 4)
+        cameras.append((None, dataclasses.replace(camera, transform=tuple(matrix.ravel()))))
+    return cameras
+
+
+def turning_mirror(steps=12):
+    """Make a mirror that turns before a checkered wall with a bright panel, in the even light of a sky."""
+    meshes = {"floor": slab((-3, -4, -0.1), (3, 3, 0)), "front": slab((-4, -4.1, 0), (4, -4, 3)),
+              "picture": slab((0.2, -3.99, 0.9), (1.2, -3.9, 1.7)), "plate": slab((-1.0, -0.02, 0.1), (1.0, 0.02, 1.6))}
+    materials = {"floor": scenes.material(color=0.4), "picture": panel((1.0, 0.9, 0.6), 3.0), "plate": metal(0.0),
+                 "front": glossy_scenes.checker((0.7, 0.2, 0.1), (0.1, 0.3, 0.7), 0.5)}
+
+    def objects(step):
+        a = np.radians(-15.0 + 1.7 * step)
+        turn = scenes.place(0.0, 0.8, 0.0)
+        turn[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+        return [(name, turn if name == "plate" else np.eye(4), name) for name in meshes]
+
+    camera = look_at((0.3, -2.9, 1.2), (0.0, 0.8, 0.8), SIZE, 0.9)
+    delta = scenes.delta(meshes, objects(0), materials, background=0.6)
+    return delta, [(SceneDelta(instances=scenes.instances(objects(step))), camera) for step in range(steps)]
+
+
+def test_turning_mirrors_leave_no_ghosts():
+    """Keep no light that a mirror showed before it turned, and what it showed where that is seen now."""
+    kept, alone = errors(*turning_mirror())
+    assert kept < 0.85 * alone
+
+
+@pytest.mark.parametrize(("made", "share"), [
+    (lambda: glossy_scenes.colored_room(SIZE, metal(0.4)), 0.95),
+    (lambda: glossy_scenes.colored_room(SIZE, glossy(color=0.05, roughness=0.3)), 0.97),
+    (lambda: glossy_scenes.rough_metal(SIZE), 0.95)])
+def test_highlights_follow_the_camera(made, share):
+    """Follow the image of what rough floors and balls show as the camera goes around them: better than no means."""
+    scene = made()
+    kept, alone = errors(scene.delta, around(scene.camera, 0.9, 16), 128)
+    assert kept < share * alone
+
+
+def test_mirrored_movers_are_seen_where_they_are():
+    """Show in a mirror what moves there where it is now, not what each pixel showed before."""
+    made = glossy_scenes.mirrored_mover(SIZE)
+    steps = [(made.change(frame), made.camera) for frame in range(17)]
+    first, truth = (last_frame(made.delta, part, Integrator.REFERENCE, 128) for part in (steps[:1], steps))
+    truth, first = np.minimum(truth, 1.0), np.minimum(first, 1.0)
+    # The balls' images, where they are and where they were.
+    changed = (np.abs(truth - first).max(-1) > 0.12) & (np.arange(SIZE[1]) > 15)[:, None]
+    assert changed.sum() > 30
+    pictures = (np.minimum(last_frame(made.delta, steps, reflection_temporal=temporal, antialiasing=False), 1.0)
+                for temporal in (True, False))
+    kept, alone = (np.abs(picture - truth)[changed].mean() for picture in pictures)
+    assert kept < 1.5 * alone
