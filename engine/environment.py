@@ -10,7 +10,6 @@ import warp as wp
 
 from ..kernels import node_codes, types
 from ..kernels.environment import bake_environment
-from .alias_table import build_alias_table
 from .device import run_bands
 from .program import Program
 from .scene import WorldData
@@ -29,12 +28,33 @@ def no_environment(device: str, world: WorldData | None = None) -> types.Environ
     environment = types.Environment()
     environment.probability = wp.zeros(1, dtype=float, device=device)
     environment.alias = wp.zeros(1, dtype=int, device=device)
+    environment.rows = wp.zeros(1, dtype=float, device=device)
+    environment.columns = wp.zeros(1, dtype=float, device=device)
     environment.weight = wp.zeros(1, dtype=float, device=device)
     constant = (0.0, 0.0, 0.0) if world is None else world.constant
     environment.constant = 0 if constant is None else 1
     environment.radiance = wp.vec3(*(constant or (0.0, 0.0, 0.0)))
     environment.visibility = 31 if world is None else world.visibility
     return environment
+
+
+def running_sums(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the running sums by which texels are drawn, and the probabilities that they then have.
+
+    Args:
+        weights: float64 [h, w], not negative, not all zero.
+
+    Returns:
+        float32 [h]: of the rows; float32 [h, w]: of each row's texels, ending at 1; float32 [h, w]: probabilities.
+    """
+    by_row = weights.sum(1)
+    rows = np.cumsum(by_row / by_row.sum()).astype(np.float32)
+    columns = np.cumsum(weights / np.maximum(by_row, 1e-300)[:, None], 1).astype(np.float32)
+    rows[-1] = columns[:, -1] = 1.0
+    # Of the rounded sums, so that what is drawn is exactly what the pdf says.
+    row_chance = np.diff(rows.astype(np.float64), prepend=0.0)
+    chance = np.diff(columns.astype(np.float64), prepend=0.0, axis=1) * row_chance[:, None]
+    return rows, columns, chance.astype(np.float32)
 
 
 def build_environment(
@@ -81,12 +101,11 @@ def build_environment(
     total = values.sum()
     weights = UNIFORM_SHARE * uniform / uniform.sum()
     weights += (1.0 - UNIFORM_SHARE) * (values / total if total > 0 else uniform / uniform.sum())
-    weights /= weights.sum()
-    probability, alias = build_alias_table(weights)
+    rows, columns, weights = running_sums(weights.reshape(height, width))
     environment.width, environment.height = width, height
-    environment.probability = wp.array(probability, dtype=float, device=device)
-    environment.alias = wp.array(alias, dtype=int, device=device)
-    environment.weight = wp.array(weights.astype(np.float32), dtype=float, device=device)
+    environment.rows = wp.array(rows, dtype=float, device=device)
+    environment.columns = wp.array(columns.ravel(), dtype=float, device=device)
+    environment.weight = wp.array(weights.ravel(), dtype=float, device=device)
     assemble(environment, float(integral))
     return radiance if _is_same_for_all(world.program) else wp.zeros(1, dtype=wp.vec3, device=device)
 

@@ -7,7 +7,6 @@ import numpy as np
 import warp as wp
 
 from ..kernels import types
-from .alias_table import build_alias_table
 from .emitters import EmitterTable
 from .lamps import lamp_bounds, lamp_power
 from .light_tree import build_light_tree
@@ -43,11 +42,12 @@ def build_lights(
     totals = np.array([power[:local].sum() + emitters.power.sum(), suns.sum(), environment_power])
     share = (totals > 0) / max(np.count_nonzero(totals > 0), 1)
     weights = np.concatenate([share[:1], suns * (share[1] / max(totals[1], 1e-30)), share[2:]])
-    probability, alias = build_alias_table(weights)
     lights = types.Lights()
     lights.lamps = _array(lamps, types.Light, device)
     lights.lamp_count, lights.local_lamp_count = len(lamps), local
     lights.triangles, lights.emitter_offset, lights.emitter_index = emitters.faces, emitters.offset, emitters.index
+    lights.emitter_power = _array(emitters.power.astype(np.float32), float, device)
+    lights.environment_power = environment_power
     lights.tree.low = _array(tree.low, wp.vec4, device)
     lights.tree.high = _array(tree.high, wp.vec4, device)
     lights.tree.entries = _array(tree.entries, int, device)
@@ -55,8 +55,6 @@ def build_lights(
     lights.tree.levels = tree.levels
     lights.class_count = len(weights) if weights.sum() > 0 else 0
     lights.environment_class = len(weights) - 1 if share[2] > 0 else -1
-    lights.probability = _array(probability, float, device)
-    lights.alias = _array(alias, int, device)
     lights.weight = _array(weights.astype(np.float32), float, device)
     return lights
 

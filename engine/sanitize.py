@@ -53,8 +53,8 @@ class SanitizeCounts:
 def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     """Return the drawable part of `mesh` and the counts of what was wrong; the argument stays as it is.
 
-    Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses them any more, but those that
-    aren't finite become the origin, so that bounds made from them are finite.
+    Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses
+    them any more, but those that aren't finite become the origin, so that bounds made from them are finite.
     """
     triangles, positions = mesh.triangles, mesh.positions
     keep, counts = _classify_triangles(positions, triangles)

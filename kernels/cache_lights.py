@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, DIMENSION_SURFACE, Vertices, slot_seed
+from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, Vertices, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
@@ -65,10 +65,12 @@ def choose_cache_lights(
     normal = unpack_normal(vertices.normal[slot])
     seed = slot_seed(slot)
     index = wp.uint32(views[0].frame)
-    choice = sample_pair(seed, index, DIMENSION_LIGHT)
+    side = wp.vec3(0.0, 0.0, 0.0)
+    if weighed == 0 and reflectance[3] == 0.0:
+        side = normal
     s = sample_light(
-        scene, point.position, choice[0], sample_pair(seed, index, DIMENSION_PLACE),
-        sample_pair(seed, index, DIMENSION_SURFACE))
+        scene, point.position, side, sample_pair(seed, index, DIMENSION_LIGHT),
+        sample_pair(seed, index, DIMENSION_PLACE)[0])
     if s.kind < 0 or (s.visibility & VISIBLE_DIFFUSE) == 0:
         return
     cosine = wp.dot(normal, s.wi)

@@ -78,7 +78,8 @@ def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, 
     if not weighed:
         return 0.0
     pdf = emitter_pdf(
-        scene, point.instance, point.triangle, paths.origin[slot], paths.direction[slot], point.ray_length)
+        scene, point.instance, point.triangle, paths.origin[slot], wp.vec3(0.0, 0.0, 0.0), paths.direction[slot],
+        point.ray_length)
     return power_heuristic(paths.pdf[slot], pdf)
 
 

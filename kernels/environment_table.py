@@ -51,19 +51,42 @@ def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
 
 
 @wp.func
-def sample_environment(environment: Environment, choice: wp.vec2, u: wp.vec2) -> wp.vec3:
+def first_above(sums: wp.array[float], first: int, count: int, u: float) -> int:
+    """Return which of `count` running sums from `first` on is the first above u, the last one if none is."""
+    low = int(0)
+    high = int(count - 1)
+    while low < high:
+        middle = (low + high) // 2
+        if sums[first + middle] > u:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@wp.func
+def rest_of(sums: wp.array[float], first: int, place: int, u: float) -> float:
+    """Return where u lies between the running sums before and at a place, in [0, 1)."""
+    below = float(0.0)
+    if place > 0:
+        below = sums[first + place - 1]
+    return wp.clamp((u - below) / wp.max(sums[first + place] - below, 1.0e-30), 0.0, 0.9999999)
+
+
+@wp.func
+def sample_environment(environment: Environment, u: wp.vec2) -> wp.vec3:
     """Draw a direction from the table (uniform over the sphere where there is none).
 
-    `choice` picks the texel, `u` the place in it: a table has too many texels to take both from one float.
+    The sums are inverted, row first, and what is left of the numbers is the place in the texel: the map keeps the
+    strata of its numbers, as an alias table would not (Pharr, Jakob and Humphreys 2023, section A.5.6).
     """
     if environment.width == 0:
         z = 1.0 - 2.0 * u[0]
         r = safe_sqrt(1.0 - z * z)
         return wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
-    count = environment.width * environment.height
-    texel = wp.min(int(choice[0] * float(count)), count - 1)
-    if choice[1] >= environment.probability[texel]:
-        texel = environment.alias[texel]
-    x = (float(texel % environment.width) + u[0]) / float(environment.width)
-    y = (float(texel // environment.width) + u[1]) / float(environment.height)
+    row = first_above(environment.rows, 0, environment.height, u[0])
+    first = row * environment.width
+    column = first_above(environment.columns, first, environment.width, u[1])
+    x = (float(column) + rest_of(environment.columns, first, column, u[1])) / float(environment.width)
+    y = (float(row) + rest_of(environment.rows, 0, row, u[0])) / float(environment.height)
     return equirect_direction(x, y)

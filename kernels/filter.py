@@ -12,7 +12,7 @@ import warp as wp
 from .geometry_math import max_component
 from .intersect import MISS, Hit, closest_filtered_hit, surface_point
 from .nodes import evaluate_transparency
-from .sampling import hashed_unit
+from .sampling import sample_number
 from .types import MATERIAL_EMISSION, MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
 
 MAX_LAYERS = wp.constant(32)
@@ -72,12 +72,13 @@ def pass_chance(scene: Scene, point: ShadingPoint, transparency: wp.vec3, kind: 
 @wp.func
 def accept_hit(
     scene: Scene, origin: wp.vec3, direction: wp.vec3, opaque: Hit, first: Hit, kind: int, depth: int, cone: wp.vec2,
-    noise: wp.uint32,
+    seed: wp.uint32, index: wp.uint32,
 ) -> FilteredHit:
     """Return the first layer that stops the ray, else the opaque hit; `first` is the first layer.
 
     A layer of transparency T is passed with probability max(T) and the weight T / max(T); when it stops the ray the
-    rest of its closures count by 1 / (1 - probability), so the expectation is exact.
+    rest of its closures count by 1 / (1 - probability), so the expectation is exact. Sample `index` of the sequence
+    `seed` decides, layer by layer.
     """
     result = FilteredHit()
     result.hit = opaque
@@ -88,7 +89,7 @@ def accept_hit(
         point = layer_point(scene, hit, direction, kind, depth, cone)
         transparency = layer_transparency(scene, point, kind)
         chance = pass_chance(scene, point, transparency, kind)
-        if hashed_unit(noise, wp.uint32(layer)) >= chance:
+        if sample_number(seed, index, layer) >= chance:
             result.hit = hit
             result.weight = result.weight / (1.0 - chance)
             return result

@@ -13,7 +13,7 @@ from .filter import MAX_LAYERS, layer_point, pass_chance, step_past
 from .geometry_math import max_component
 from .intersect import MISS, Hit, closest_filtered_hit
 from .node_lean import run_lean_transparency
-from .sampling import hashed_unit
+from .sampling import sample_number
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
 from .wide_loads import load_instance, load_material_flags
 
@@ -83,14 +83,14 @@ def walk_on(
 @wp.func
 def accept_layer(
     scene: Scene, walk: LayerWalk, origin: wp.vec3, direction: wp.vec3, t_max: float, kind: int, depth: int,
-    cone: wp.vec2, noise: wp.uint32,
+    cone: wp.vec2, seed: wp.uint32, index: wp.uint32,
 ) -> LayerWalk:
     """Stop at a layer or go on to the next by chance: a step of filter.accept_hit; opaque hits lie at t_max."""
     out = walk
     point = layer_point(scene, walk.hit, direction, kind, depth, cone)
     transparency = lean_transparency(scene, point, kind)
     chance = pass_chance(scene, point, transparency, kind)
-    if hashed_unit(noise, wp.uint32(walk.layers)) >= chance:
+    if sample_number(seed, index, walk.layers) >= chance:
         out.weight = walk.weight / (1.0 - chance)
         out.state = WALK_STOPPED
         return out

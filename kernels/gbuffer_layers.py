@@ -19,11 +19,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def layer_noise(view: View, pixel: int, width: int) -> wp.uint32:
-    """Return the random number of a pixel's layers, another one in every frame."""
+def layer_seed(view: View, pixel: int, width: int) -> wp.uint32:
+    """Return the seed of a pixel's layers; the frame is the index."""
     seed = pixel_seed_of(
         view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
-    return hash_combine(hash_combine(seed, wp.uint32(view.frame)), wp.uint32(LAYER_STREAM))
+    return hash_combine(seed, wp.uint32(LAYER_STREAM))
 
 
 @wp.func
@@ -49,11 +49,12 @@ def filter_primary(
     if hits_out.layer[pixel][0] == MISS:
         return
     view = views[0]
-    noise = layer_noise(view, pixel, width)
     ray = primary_ray(view, pixel % width, pixel // width)
     opaque = make_hit(hits_out.t[pixel], hits_out.hit[pixel], hits_out.barycentrics[pixel])
     layer = make_hit(hits_out.layer_t[pixel], hits_out.layer[pixel], hits_out.layer_barycentrics[pixel])
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
-    found = accept_hit(scene, ray.origin, ray.direction, opaque, layer, VISIBLE_CAMERA, 0, cone, noise)
+    found = accept_hit(
+        scene, ray.origin, ray.direction, opaque, layer, VISIBLE_CAMERA, 0, cone, layer_seed(view, pixel, width),
+        wp.uint32(view.frame))
     store_found(hits_out, pixel, found.hit)
     hits_out.weight[pixel] = found.weight

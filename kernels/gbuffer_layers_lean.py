@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_lean import WALK_ON, WALK_STOPPED, LayerWalk, accept_layer, start_walk
-from .gbuffer_layers import layer_noise, store_found
+from .gbuffer_layers import layer_seed, store_found
 from .gbuffer_rays import PrimaryHits, primary_ray
 from .intersect import MISS
 from .paths import make_hit
@@ -27,7 +27,7 @@ def meet_pixel_layer(
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
     return accept_layer(
         scene, walk, ray.origin, ray.direction, hits.t[pixel], VISIBLE_CAMERA, 0, cone,
-        layer_noise(view, pixel, width))
+        layer_seed(view, pixel, width), wp.uint32(view.frame))
 
 
 @wp.kernel(cuda_max_registers=128)

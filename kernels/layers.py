@@ -29,11 +29,11 @@ def filter_paths(
     path = queue[wp.tid()]
     if paths_out.state[path] == ENDED or paths_out.layer[path][0] == MISS:
         return
-    noise = hash_combine(
-        hash_combine(paths_out.seed[path], paths_out.index[path]), wp.uint32(paths_out.state[path] + LAYER_STREAM))
+    seed = hash_combine(paths_out.seed[path], wp.uint32(paths_out.state[path] + LAYER_STREAM))
     found = accept_hit(
         scene, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path),
-        load_layer(paths_out, path), paths_out.kind[path], paths_out.state[path], paths_out.cone[path], noise)
+        load_layer(paths_out, path), paths_out.kind[path], paths_out.state[path], paths_out.cone[path], seed,
+        paths_out.index[path])
     store_hit(paths_out, path, found.hit)
     paths_out.overruns[path] = paths_out.overruns[path] + found.overrun
     paths_out.throughput[path] = wp.cw_mul(paths_out.throughput[path], found.weight)

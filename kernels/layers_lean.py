@@ -26,10 +26,10 @@ def meet_layer(scene: Scene, paths: Paths, path: int, walk: LayerWalk) -> LayerW
     """Take one layer of a path, see layers.filter_paths."""
     # Read anew for each layer: registers are scarcer than loads.
     surfaces = paths.state[path]
-    noise = hash_combine(hash_combine(paths.seed[path], paths.index[path]), wp.uint32(surfaces + LAYER_STREAM))
+    seed = hash_combine(paths.seed[path], wp.uint32(surfaces + LAYER_STREAM))
     return accept_layer(
         scene, walk, paths.origin[path], paths.direction[path], load_hit(paths, path).t, paths.kind[path], surfaces,
-        paths.cone[path], noise)
+        paths.cone[path], seed, paths.index[path])
 
 
 @wp.func

@@ -127,7 +127,7 @@ def choose_local(lights: Lights, position: wp.vec3, place: wp.vec2, u: wp.vec2) 
     """Draw a local lamp or an emissive triangle by the tree."""
     choice = Choice()
     choice.chance = 0.0
-    local = choose_by_tree(lights.tree, position, place)
+    local = choose_by_tree(lights.tree, position, wp.vec3(0.0, 0.0, 0.0), place)
     if local.entry >= 0:
         kind = wp.where(local.entry < lights.local_lamp_count, CANDIDATE_LAMP, CANDIDATE_EMITTER)
         index = wp.where(local.entry < lights.local_lamp_count, local.entry, local.entry - lights.local_lamp_count)

@@ -14,7 +14,7 @@ from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
 from .intersect import hit_error, instance_shift, world_vertex
 from .lamp_hit import FAR, one_minus_cos_of_sphere, spot_attenuation, spread_attenuation
 from .light_tree import chance_by_tree, choose_by_tree
-from .sampling import sample_alias, sample_cone, sample_disk, sample_sphere, sample_triangle
+from .sampling import sample_cone, sample_disk, sample_sphere, sample_triangle
 from .types import (
     LIGHT_AREA,
     LIGHT_ELLIPSE,
@@ -25,8 +25,12 @@ from .types import (
     LIGHT_SUN,
     LIGHT_TRIANGLE,
     Light,
+    Lights,
     Scene,
 )
+
+# The largest float that numbers rescaled to [0, 1) may reach.
+BELOW_ONE = wp.constant(0.9999999)
 
 
 @wp.struct
@@ -40,6 +44,8 @@ class LightSample:
     """Up to the light's surface; FAR for suns and the world"""
     radiance: wp.vec3
     """Arriving radiance (delta lights: already divided by distance squared); 1 where a program must be evaluated"""
+    brightness: float
+    """About what a program or the emission of a triangle's material will tell; 1 where `radiance` is all"""
     pdf: float
     """Solid angle, choice of the light included; for delta lights the choice alone"""
     delta: int
@@ -132,6 +138,7 @@ def sample_lamp(light: Light, position: wp.vec3, u: wp.vec2) -> LightSample:
     """Draw a direction from `position` to a lamp."""
     s = LightSample()
     s.kind = light.kind
+    s.brightness = 1.0
     s.shadow = wp.where((light.flags & LIGHT_NO_SHADOW) != 0, 0, 1)
     s.visibility = light.visibility
     s.delta = wp.where((light.flags & LIGHT_HITTABLE) != 0, 0, 1)
@@ -206,29 +213,72 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
     if s.kind < 0:
         return s
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
+    s.brightness = scene.lights.emitter_power[emitter] / (PI * wp.length(wp.cross(p1 - p0, p2 - p0)))
     s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, instance_shift(geometry, s.instance))
     return s
 
 
 @wp.func
-def sample_light(scene: Scene, position: wp.vec3, choice: float, place: wp.vec2, u: wp.vec2) -> LightSample:
+def sun_counts(light: Light, normal: wp.vec3) -> float:
+    """Return 1 where any of a sun's light may arrive at the front of a surface; a zero normal has no back."""
+    omc = light.one_minus_cos
+    if wp.dot(normal, light.direction) > wp.sqrt(omc * wp.max(2.0 - omc, 0.0)):
+        return 0.0
+    return 1.0
+
+
+@wp.func
+def class_weight(lights: Lights, index: int, normal: wp.vec3) -> float:
+    """Return the weight of a class of lights for a receiver: its probability but for suns below the horizon."""
+    weight = lights.weight[index]
+    if index > 0 and index != lights.environment_class:
+        weight = weight * sun_counts(lights.lamps[lights.local_lamp_count + index - 1], normal)
+    return weight
+
+
+@wp.func
+def class_total(lights: Lights, normal: wp.vec3) -> float:
+    """Return the sum of the classes' weights for a receiver."""
+    total = float(0.0)
+    for index in range(lights.class_count):
+        total = total + class_weight(lights, index, normal)
+    return total
+
+
+@wp.func
+def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, refill: float) -> LightSample:
     """Choose one light and draw a direction to it; pdf includes the choice.
+
+    The first number picks the class, what is left of it the light, and what is then left places the direction with
+    the second: stratified pairs are stratified over all lights together and over each of them.
 
     Args:
         scene: The scene.
         position: Where light arrives.
-        choice: Picks the class.
-        place: Picks the local light, or the texel of the world's table.
-        u: Place the direction.
+        normal: Of the surface there if light from behind it is lost, else zero.
+        u: In [0, 1)^2.
+        refill: Another number, since a deep tree uses up a float's bits.
     """
     lights = scene.lights
-    chosen = sample_alias(lights.probability, lights.alias, lights.class_count, choice)
-    chance = lights.weight[chosen]
     s = LightSample()
+    s.kind = -1
+    total = class_total(lights, normal)
+    if total <= 0.0:
+        return s
+    chosen = int(0)
+    left = u[0] * total
+    chance = class_weight(lights, 0, normal)
+    while left >= chance and chosen < lights.class_count - 1:
+        left = left - chance
+        chosen = chosen + 1
+        chance = class_weight(lights, chosen, normal)
+    left = wp.min(left / wp.max(chance, 1.0e-30), BELOW_ONE)
+    chance = chance / total
     if chosen == lights.environment_class:
         s.kind = LIGHT_ENVIRONMENT
-        s.wi = sample_environment(scene.environment, place, u)
+        s.wi = sample_environment(scene.environment, wp.vec2(left, u[1]))
         s.pdf = environment_pdf(scene.environment, s.wi)
+        s.brightness = s.pdf * lights.environment_power
         s.distance = FAR
         s.radiance = wp.vec3(1.0, 1.0, 1.0)
         s.shadow = 1
@@ -237,16 +287,17 @@ def sample_light(scene: Scene, position: wp.vec3, choice: float, place: wp.vec2,
     else:
         lamp = lights.local_lamp_count + chosen - 1
         if chosen == 0:
-            local = choose_by_tree(lights.tree, position, place)
+            local = choose_by_tree(lights.tree, position, normal, wp.vec2(left, refill))
             lamp = local.entry
+            left = local.left
             chance = chance * local.chance
         if lamp < 0:
             s.kind = -1
             return s
         if lamp < lights.lamp_count and (chosen > 0 or lamp < lights.local_lamp_count):
-            s = sample_lamp(lights.lamps[lamp], position, u)
+            s = sample_lamp(lights.lamps[lamp], position, wp.vec2(left, u[1]))
         else:
-            s = sample_emitter(scene, lamp - lights.local_lamp_count, position, u)
+            s = sample_emitter(scene, lamp - lights.local_lamp_count, position, wp.vec2(left, u[1]))
     s.pdf = s.pdf * chance
     if not (s.pdf > 0.0):
         s.kind = -1
@@ -254,17 +305,29 @@ def sample_light(scene: Scene, position: wp.vec3, choice: float, place: wp.vec2,
 
 
 @wp.func
-def lamp_chance(scene: Scene, lamp: int, position: wp.vec3) -> float:
-    """Return the probability with which sample_light chooses a lamp."""
-    lights = scene.lights
-    if lamp < lights.local_lamp_count:
-        return lights.weight[0] * chance_by_tree(lights.tree, lamp, position)
-    return lights.weight[1 + lamp - lights.local_lamp_count]
+def environment_chance(scene: Scene, normal: wp.vec3) -> float:
+    """Return the probability with which sample_light chooses the world."""
+    return scene.lights.weight[scene.lights.environment_class] / class_total(scene.lights, normal)
 
 
 @wp.func
-def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, direction: wp.vec3, t: float) -> float:
-    """Return the pdf of light sampling for a ray that met a triangle at distance t; 0 if it is not sampled."""
+def lamp_chance(scene: Scene, lamp: int, position: wp.vec3, normal: wp.vec3) -> float:
+    """Return the probability with which sample_light chooses a lamp."""
+    lights = scene.lights
+    total = wp.max(class_total(lights, normal), 1.0e-30)
+    if lamp < lights.local_lamp_count:
+        return lights.weight[0] / total * chance_by_tree(lights.tree, lamp, position, normal)
+    return class_weight(lights, 1 + lamp - lights.local_lamp_count, normal) / total
+
+
+@wp.func
+def emitter_pdf(
+    scene: Scene, instance: int, triangle: int, origin: wp.vec3, normal: wp.vec3, direction: wp.vec3, t: float,
+) -> float:
+    """Return the pdf of light sampling for a ray that met a triangle at distance t; 0 if it is not sampled.
+
+    `origin` and `normal` are those of the receiver, as given to sample_light.
+    """
     lights = scene.lights
     geometry = scene.geometry
     if lights.class_count == 0:
@@ -284,5 +347,6 @@ def emitter_pdf(scene: Scene, instance: int, triangle: int, origin: wp.vec3, dir
     projected = 0.5 * wp.abs(wp.dot(double_area_normal, direction))
     if projected <= 0.0:
         return 0.0
-    chance = lights.weight[0] * chance_by_tree(lights.tree, lights.local_lamp_count + emitter, origin)
+    chance = lights.weight[0] / wp.max(class_total(lights, normal), 1.0e-30) * chance_by_tree(
+        lights.tree, lights.local_lamp_count + emitter, origin, normal)
     return chance * t * t / projected

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The path tracer's kernel for rays that leave the scene."""
+"""The path tracer's kernel for rays that leave the scene, and for the paths that end where they hit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import warp as wp
 from .environment_table import environment_pdf
 from .geometry_math import power_heuristic
 from .intersect import MISS
+from .lights import environment_chance
 from .nodes import evaluate_world
-from .paths import ENDED, Options, Paths, add_light, limit_at
+from .paths import ENDED, Options, Paths, add_light, hit_material, limit_at, may_emit, survives
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -24,10 +25,17 @@ def shade_misses(
     # Out:
     paths_out: Paths,
 ):
-    """Add the world to the paths that leave the scene; shade_paths ends them."""
+    """Add the world to the paths that leave the scene, which shade_paths ends, and play roulette with the others.
+
+    Not yet where the hit may emit: shade_paths adds that first.
+    """
     path = queue[wp.tid()]
     bounce = paths_out.state[path]
-    if bounce == ENDED or paths_out.hit[path][0] != MISS:
+    if bounce == ENDED:
+        return
+    if paths_out.hit[path][0] != MISS:
+        if not may_emit(scene, hit_material(scene, paths_out, path)):
+            survives(options, paths_out, path, bounce)
         return
     kind = paths_out.kind[path]
     direction = paths_out.direction[path]
@@ -45,7 +53,7 @@ def shade_misses(
     pdf = paths_out.pdf[path]
     if pdf > 0.0 and scene.lights.environment_class >= 0:
         light_pdf = environment_pdf(scene.environment, direction)
-        weight = power_heuristic(pdf, light_pdf * scene.lights.weight[scene.lights.environment_class])
+        weight = power_heuristic(pdf, light_pdf * environment_chance(scene, paths_out.side[path]))
     light = wp.cw_mul(paths_out.throughput[path], radiance) * weight
     add_light(paths_out, path, light, limit_at(options, bounce))
     if options.passes == 1 and bounce == 0:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3
+from .geometry_math import is_finite3, max_component
 from .intersect import Hit, surface_point
+from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_ROULETTE, DIMENSIONS_PER_BOUNCE, sample_number
 from .shading_types import Closure, ShadingPoint
-from .types import Scene
+from .types import MATERIAL_EMISSION, Scene
 
 # Paths.state
 ENDED = wp.constant(-1)
@@ -17,6 +18,9 @@ ENDED = wp.constant(-1)
 PENDING_NONE = wp.constant(0)
 PENDING_TRIANGLE = wp.constant(1)
 PENDING_WORLD = wp.constant(2)
+
+# Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
+LONG_PATH = wp.constant(32)
 
 @wp.struct
 class Options:
@@ -60,6 +64,8 @@ class Paths:
     """Gathered so far; w = alpha"""
     pdf: wp.array[float]
     """Of the BSDF sample that made the ray; 0 for camera rays and mirrors"""
+    side: wp.array[wp.vec3]
+    """Normal of the surface that the ray has left if no light from behind it counts there, else zero"""
     kind: wp.array[int]
     """VISIBLE_* bit of the ray"""
     cone: wp.array[wp.vec2]
@@ -176,3 +182,47 @@ def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoin
     point.ray_length = hit.t
     point.ray_depth = bounce
     return point
+
+
+@wp.func
+def hit_material(scene: Scene, paths: Paths, path: int) -> int:
+    """Return the material of a path's hit."""
+    hit = paths.hit[path]
+    instance = scene.geometry.instances[hit[0]]
+    slot = wp.min(scene.geometry.slots[hit[1]], instance.material_count - 1)
+    return scene.materials.instance_materials[instance.material_offset + slot]
+
+
+@wp.func
+def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float:
+    """Return the probability with which Russian roulette lets a path be shaded at its hit.
+
+    Long paths end even where nothing absorbs: a scene may hold light between surfaces of albedo 1 for ever.
+    """
+    if bounce <= options.roulette_start:
+        return 1.0
+    limit = wp.where(bounce < LONG_PATH, 1.0, 0.9)
+    # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
+    return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
+
+
+@wp.func
+def may_emit(scene: Scene, material: int) -> bool:
+    """Return whether a material has a program that emits."""
+    return (scene.materials.materials[material].flags & MATERIAL_EMISSION) != 0
+
+
+@wp.func
+def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
+    """Play Russian roulette at a hit: end the path, or let it go on with the throughput that makes up for it.
+
+    As in Cycles, what a hit emits and the world are added before: a ray that was traced shows what it meets.
+    """
+    chance = survival_chance(options, bounce, paths.throughput[path])
+    if chance < 1.0:
+        dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE + DIMENSION_ROULETTE
+        if sample_number(paths.seed[path], paths.index[path], dimension) >= chance:
+            paths.state[path] = ENDED
+            return False
+        paths.throughput[path] = paths.throughput[path] / chance
+    return True

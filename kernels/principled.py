@@ -195,14 +195,15 @@ def sample_bsdf(bsdf: Bsdf, wo: wp.vec3, u: wp.vec3) -> BsdfSample:
     Args:
         bsdf: Prepared for `wo`.
         wo: Unit direction to the viewer.
-        u: Numbers in [0, 1): two for the direction, the third for the lobe.
+        u: In [0, 1)^3. The first number picks the lobe; what is left of it and the second place the direction, so that
+            pairs stay stratified in every lobe. The third decides whether glass reflects.
     """
     absorbed = BsdfSample()
-    choice = choose_lobe(bsdf, u[2])
+    choice = choose_lobe(bsdf, u[0])
     lobe = int(choice[0])
     if lobe == LOBE_NONE:
         return absorbed
-    s = sample_lobe(bsdf, wo, lobe, wp.vec2(u[0], u[1]), choice[1])
+    s = sample_lobe(bsdf, wo, lobe, wp.vec2(wp.min(choice[1], 0.9999999), u[1]), u[2])
     height = wp.dot(bsdf.geometric_normal, s.wi)
     if s.kind == VISIBLE_TRANSMISSION:
         height = -height

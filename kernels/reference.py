@@ -16,9 +16,10 @@ import warp as wp
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, offset_origin
 from .lamp_hit import FAR, lamp_hit
-from .lights import LightSample, emitter_pdf, lamp_chance, sample_light
+from .lights import BELOW_ONE, LightSample, emitter_pdf, lamp_chance, sample_light
 from .paths import (
     ENDED,
+    LONG_PATH,
     PENDING_NONE,
     PENDING_TRIANGLE,
     PENDING_WORLD,
@@ -27,6 +28,8 @@ from .paths import (
     add_light,
     hit_point,
     limit_at,
+    may_emit,
+    survives,
 )
 from .principled import evaluate_bsdf, prepare_bsdf, sample_bsdf
 from .sampling import (
@@ -35,8 +38,9 @@ from .sampling import (
     DIMENSION_LIGHT,
     DIMENSION_LIGHT_CHOICE,
     DIMENSION_LOBE,
-    DIMENSION_TEXEL,
+    DIMENSION_RESAMPLE,
     DIMENSIONS_PER_BOUNCE,
+    sample_number,
     sample_pair,
 )
 from .terminator import smooth_surface_offset
@@ -58,8 +62,16 @@ from .types import (
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-# Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
-LONG_PATH = wp.constant(32)
+
+# Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
+LIGHT_CANDIDATES = wp.constant(2)
+GOLDEN = wp.constant(0.6180340)
+
+
+@wp.func
+def fraction(x: float) -> float:
+    """Return the part after the point, below 1."""
+    return wp.min(x - wp.floor(x), BELOW_ONE)
 
 
 @wp.func
@@ -80,7 +92,7 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
             if hit.t > 0.0:
                 weight = float(1.0)
                 if pdf > 0.0:
-                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin))
+                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
                 light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
                 add_light(paths, path, light, limit_at(options, bounce))
 
@@ -169,46 +181,82 @@ def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: 
     pdf = paths.pdf[path]
     if pdf > 0.0:
         light_pdf = emitter_pdf(
-            scene, point.instance, point.triangle, paths.origin[path], paths.direction[path], point.ray_length)
+            scene, point.instance, point.triangle, paths.origin[path], paths.side[path], paths.direction[path],
+            point.ray_length)
         weight = power_heuristic(pdf, light_pdf)
     add_light(paths, path, wp.cw_mul(paths.throughput[path], emission) * weight, limit_at(options, point.ray_depth))
 
 
 @wp.func
-def sample_direct_light(scene: Scene, point: ShadingPoint, bsdf: Bsdf, choice: float, dimension: int, paths: Paths,
-                        path: int):
-    """Sample one light and store the shadow ray that decides whether it counts."""
+def front_of(bsdf: Bsdf) -> wp.vec3:
+    """Return the normal of a surface on whose back no light counts, zero for one that lets light through."""
+    if bsdf.pick_glass + bsdf.pick_translucent > 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    return bsdf.geometric_normal
+
+
+@wp.func
+def arriving(scene: Scene, point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
+    """Return what a light sample adds to a path of throughput 1 if nothing is in its way, weighed against the BSDF."""
+    value = evaluate_bsdf(bsdf, point.wo, s.wi)
+    weight = float(1.0)
+    if s.delta == 0:
+        weight = power_heuristic(s.pdf, value.pdf)
+    reflected = wp.dot(point.geometric_normal, s.wi) > 0.0
+    f = visible_part(value.f, value.diffuse, reflected, s.visibility)
+    return wp.cw_mul(f, s.radiance) * (weight / s.pdf)
+
+
+@wp.func
+def sample_direct_light(
+    scene: Scene, point: ShadingPoint, bsdf: Bsdf, refill: float, dimension: int, paths: Paths, path: int,
+):
+    """Draw light samples, keep one by what it would add, and store the shadow ray that decides whether it counts.
+
+    Resampled importance sampling (Talbot, Cline and Egbert 2005): the light that matters here gets the ray, of sun
+    and sky for one. Both techniques' weights are of single samples, so they still sum to one.
+    """
     seed = paths.seed[path]
     index = paths.index[path]
-    s = sample_light(scene, point.position, choice, sample_pair(seed, index, dimension + DIMENSION_TEXEL),
-                     sample_pair(seed, index, dimension + DIMENSION_LIGHT))
-    if s.kind >= 0:
-        value = evaluate_bsdf(bsdf, point.wo, s.wi)
-        weight = float(1.0)
-        if s.delta == 0:
-            weight = power_heuristic(s.pdf, value.pdf)
-        reflected = wp.dot(point.geometric_normal, s.wi) > 0.0
-        f = visible_part(value.f, value.diffuse, reflected, s.visibility)
-        light = wp.cw_mul(wp.cw_mul(paths.throughput[path], f), s.radiance) * (weight / s.pdf)
-        if is_finite3(light) and max_component(light) > 0.0:
-            set_shadow_ray(scene, point, s, light, paths, path)
+    place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
+    side = front_of(bsdf)
+    throughput = paths.throughput[path]
+    kept = LightSample()
+    kept.kind = -1
+    light = wp.vec3(0.0, 0.0, 0.0)
+    target = float(1.0)
+    total = float(0.0)
+    left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
+    k = int(0)
+    while k < LIGHT_CANDIDATES:
+        step = float(k)
+        s = sample_light(
+            scene, point.position, side,
+            wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
+        if s.kind >= 0:
+            here = wp.cw_mul(throughput, arriving(scene, point, bsdf, s))
+            value = wp.dot(here, scene.luminance) * s.brightness
+            if is_finite3(here) and value > 0.0:
+                total = total + value
+                share = value / total
+                # What is left of a number after each decision is uniform again.
+                if left < share:
+                    left = left / share
+                    kept = s
+                    light = here
+                    target = value
+                else:
+                    left = (left - share) / (1.0 - share)
+        k = k + 1
+    if kept.kind >= 0 and wp.isfinite(total):
+        light = light * (total / (target * float(LIGHT_CANDIDATES)))
+        set_shadow_ray(scene, point, kept, light, paths, path)
 
 
 @wp.func
-def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float:
-    """Return the probability with which Russian roulette lets a path go on.
-
-    Long paths end even where nothing absorbs: a scene may hold light between surfaces of albedo 1 for ever.
-    """
-    if bounce < options.roulette_start:
-        return 1.0
-    limit = wp.where(bounce < LONG_PATH, 0.98, 0.9)
-    # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
-    return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
-
-
-@wp.func
-def continue_path(options: Options, point: ShadingPoint, sample: BsdfSample, roulette: float, paths: Paths, path: int):
+def continue_path(
+    point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int,
+):
     """Set up the next ray, or leave the path ended."""
     bounce = point.ray_depth
     weight = sample.weight
@@ -217,16 +265,13 @@ def continue_path(options: Options, point: ShadingPoint, sample: BsdfSample, rou
     if bounce >= LONG_PATH:
         # Some materials return more than they receive (two BSDFs added); unlimited paths would never converge.
         weight = weight / wp.max(max_component(weight), 1.0)
-    throughput = wp.cw_mul(paths.throughput[path], weight)
-    survival = survival_chance(options, bounce, throughput)
-    if roulette >= survival:
-        return
     paths.state[path] = bounce + 1
-    paths.throughput[path] = throughput / survival
+    paths.throughput[path] = wp.cw_mul(paths.throughput[path], weight)
     paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
     paths.direction[path] = sample.wi
     paths.t[path] = FAR
     paths.pdf[path] = wp.where(sample.delta == 1, 0.0, sample.pdf)
+    paths.side[path] = front_of(bsdf)
     paths.kind[path] = sample.kind
     # The cone is not widened by the lobe: blurring over it would average in parts of a texture atlas that the
     # surface does not show, and flatten normal maps.
@@ -265,13 +310,15 @@ def shade_paths(
     bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
     if max_component(bsdf.emission) > 0.0:
         add_emission(scene, options, point, bsdf.emission, paths_out, path)
+    if may_emit(scene, point.material) and not survives(options, paths_out, path, bounce):
+        return
     if options.passes == 1 and bounce == 0:
         record_first_hit(scene, frames[0], point, bsdf.emission, paths_out, path)
     if options.max_bounces > 0 and bounce >= options.max_bounces:
         return
-    choice = sample_pair(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     if scene.lights.class_count > 0:
-        sample_direct_light(scene, point, bsdf, choice[0], dimension, paths_out, path)
+        refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
+        sample_direct_light(scene, point, bsdf, refill, dimension, paths_out, path)
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], lobe[0]))
-    continue_path(options, point, sample, choice[1], paths_out, path)
+    continue_path(point, bsdf, sample, paths_out, path)

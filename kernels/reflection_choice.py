@@ -16,7 +16,7 @@ from .environment_table import texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import MISS, surface_point
-from .lights import LightSample, sample_light
+from .lights import BELOW_ONE, LightSample, sample_light
 from .packing import unpack_normal
 from .paths import ENDED, Paths, load_hit
 from .reference import set_shadow_ray
@@ -87,6 +87,9 @@ def choose_reflection_lights(
         vertices_out.cell[slot] = NO_CELL
     seed = paths_out.seed[slot]
     index = paths_out.index[slot]
+    side = wp.vec3(0.0, 0.0, 0.0)
+    if weighed == 0 and reflectance[3] == 0.0:
+        side = normal
     chosen = LightSample()
     target = float(0.0)
     total = float(0.0)
@@ -94,10 +97,10 @@ def choose_reflection_lights(
     while k < candidates:
         dimension = DIMENSION_CANDIDATE + 3 * k
         # Stratified over the classes of lights.
-        choice = (float(k) + sample_pair(seed, index, dimension)[0]) / float(candidates)
+        u = sample_pair(seed, index, dimension)
+        choice = wp.min((float(k) + u[0]) / float(candidates), BELOW_ONE)
         s = sample_light(
-            scene, point.position, wp.min(choice, 0.99999994), sample_pair(seed, index, dimension + 1),
-            sample_pair(seed, index, dimension + 2))
+            scene, point.position, side, wp.vec2(choice, u[1]), sample_pair(seed, index, dimension + 1)[0])
         if s.kind >= 0 and (s.visibility & VISIBLE_DIFFUSE) != 0:
             value = wp.float32(1.0)
             if candidates > 1:

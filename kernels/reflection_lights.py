@@ -108,7 +108,7 @@ def local_density(lights: Lights, entry: int, pdf: float, position: wp.vec3) -> 
         return 0.0
     if lights.tree.levels == 0:
         return pdf
-    return pdf * likely(chance_by_tree(lights.tree, entry, position))
+    return pdf * likely(chance_by_tree(lights.tree, entry, position, wp.vec3(0.0, 0.0, 0.0)))
 
 
 @wp.func

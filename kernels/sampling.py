@@ -16,15 +16,16 @@ from .geometry_math import TWO_PI, orthonormal_tangent, safe_sqrt
 DIMENSION_FILTER = wp.constant(0)
 DIMENSION_LENS = wp.constant(1)
 DIMENSION_FIRST_BOUNCE = wp.constant(2)
-DIMENSIONS_PER_BOUNCE = wp.constant(5)
+DIMENSIONS_PER_BOUNCE = wp.constant(6)
 DIMENSION_BSDF = wp.constant(0)
 DIMENSION_LOBE = wp.constant(1)
 """x: lobe of the BSDF, y: closure of the material"""
 DIMENSION_LIGHT = wp.constant(2)
 DIMENSION_LIGHT_CHOICE = wp.constant(3)
-"""x: which light, y: Russian roulette"""
-DIMENSION_TEXEL = wp.constant(4)
-"""Texel of the world's table"""
+"""Which light, where a tree is deep"""
+DIMENSION_ROULETTE = wp.constant(4)
+DIMENSION_RESAMPLE = wp.constant(5)
+"""Which of a few light samples"""
 
 # Warp writes literals above 2^31 as signed numbers; typed constants keep them unsigned.
 BITS_846CA68B = wp.constant(wp.uint32(0x846CA68B))
@@ -115,8 +116,16 @@ def sample_pair(pixel_seed: wp.uint32, index: wp.uint32, dimension: int) -> wp.v
 
 
 @wp.func
+def sample_number(pixel_seed: wp.uint32, index: wp.uint32, dimension: int) -> float:
+    """Return the first of sample_pair's numbers."""
+    seed = hash_combine(pixel_seed, wp.uint32(dimension))
+    shuffled = reverse_bits(laine_karras(reverse_bits(index), seed))
+    return to_unit(reverse_bits(laine_karras(shuffled, hash32(seed + wp.uint32(1)))))
+
+
+@wp.func
 def hashed_unit(seed: wp.uint32, value: wp.uint32) -> float:
-    """Return a white-noise number in [0, 1) for streams whose length is unknown (layers of transparency)."""
+    """Return a white-noise number in [0, 1)."""
     return to_unit(hash_combine(seed, value))
 
 
@@ -182,13 +191,3 @@ def sample_triangle(u: wp.vec2) -> wp.vec2:
     else:
         b0 = b0 - offset
     return wp.vec2(b0, b1)
-
-
-@wp.func
-def sample_alias(probability: wp.array[float], alias: wp.array[int], count: int, u: float) -> int:
-    """Draw an index from an alias table (Vose 1991) with one number; for tables far smaller than 2^24."""
-    scaled = u * float(count)
-    index = wp.min(int(scaled), count - 1)
-    if scaled - float(index) < probability[index]:
-        return index
-    return alias[index]

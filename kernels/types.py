@@ -239,11 +239,16 @@ class Light:
 
 @wp.struct
 class Environment:
-    """The world's sampling table: piecewise constant over an equirectangular grid, alias method."""
+    """A sampling table over the world: piecewise constant over an equirectangular grid."""
 
     width: int
     height: int
+    rows: wp.array[float]
+    """Running sum of the rows' probabilities"""
+    columns: wp.array[float]
+    """Per row, the running sum of its texels' probabilities in it"""
     probability: wp.array[float]
+    """Alias method (Vose 1991), where strata don't matter: for the part of the world that is sampled as a light"""
     alias: wp.array[int]
     weight: wp.array[float]
     """Probability of each texel, sums to 1"""
@@ -282,15 +287,17 @@ class Lights:
     """Per instance: first entry in emitter_index, -1 for instances without emitters"""
     emitter_index: wp.array[int]
     """Per triangle of an instance with emitters: index into `triangles` or -1"""
+    emitter_power: wp.array[float]
+    """Per emissive triangle, both sides [W]"""
+    environment_power: float
+    """Luminance of the world integrated over the sphere; 0 where it is not sampled"""
     tree: LightTree
     class_count: int
     """0: nothing emits. Class 0 are the local lights, then the suns, then the world"""
     environment_class: int
     """-1: the world is not sampled"""
-    probability: wp.array[float]
-    alias: wp.array[int]
     weight: wp.array[float]
-    """Probability of each class, sums to 1"""
+    """Probability of each class, sums to 1; lights.class_weight leaves out suns that set"""
 
 
 @wp.struct

@@ -11,18 +11,24 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def chances(tree: types.LightTree, position: wp.vec3, out: wp.array[float]):
+def chances(tree: types.LightTree, position: wp.vec3, normal: wp.vec3, out: wp.array[float]):
     i = wp.tid()
-    out[i] = light_tree.chance_by_tree(tree, i, position)
+    out[i] = light_tree.chance_by_tree(tree, i, position, normal)
 
 
 @wp.kernel
-def choices(tree: types.LightTree, position: wp.vec3, u: wp.array[wp.vec2], entry: wp.array[int],
-            chance: wp.array[float]):
+def choices(tree: types.LightTree, position: wp.vec3, normal: wp.vec3, u: wp.array[wp.vec2], entry: wp.array[int],
+            chance: wp.array[float], left: wp.array[float]):
     i = wp.tid()
-    chosen = light_tree.choose_by_tree(tree, position, u[i])
+    chosen = light_tree.choose_by_tree(tree, position, normal, u[i])
     entry[i] = chosen.entry
     chance[i] = chosen.chance
+    left[i] = chosen.left
+
+
+ANYWHERE = wp.vec3(0.0, 0.0, 0.0)
+"""A receiver without a back"""
+UP = wp.vec3(0.0, 0.0, 1.0)
 
 
 def make(count, seed=0, equal=False):
@@ -40,28 +46,33 @@ def make(count, seed=0, equal=False):
     return struct, center, power
 
 
+@pytest.mark.parametrize("normal", [ANYWHERE, UP], ids=["anywhere", "up"])
 @pytest.mark.parametrize("count", [1, 2, 3, 17, 1000])
-def test_chances_sum_to_one(count):
+def test_chances_sum_to_one(count, normal):
     """Distribute a chance of exactly one over the lights, seen from anywhere."""
     tree, _, _ = make(count)
-    for position in ((0, 0, 0), (4, -3, 2), (100, 0, 0)):
+    for position in ((0, 0, -6), (4, -3, -2), (100, 0, -30)):
         out = wp.zeros(count, dtype=float, device="cpu")
-        wp.launch(chances, count, [tree, wp.vec3(*map(float, position)), out], device="cpu")
+        wp.launch(chances, count, [tree, wp.vec3(*map(float, position)), normal, out], device="cpu")
         np.testing.assert_allclose(out.numpy().sum(dtype=np.float64), 1.0, rtol=1e-5)
 
 
+@pytest.mark.parametrize("normal", [ANYWHERE, UP], ids=["anywhere", "up"])
 @pytest.mark.parametrize("count", [5, 300])
-def test_choices_follow_the_chances(count):
-    """Choose each light as often as its chance says, and report that chance."""
+def test_choices_follow_the_chances(count, normal):
+    """Choose each light as often as its chance says, report that chance, and leave a uniform number."""
     tree, _, _ = make(count, 1)
     draws = 1 << 18
     u = np.random.default_rng(2).random((draws, 2), np.float32)
     entry = wp.zeros(draws, dtype=int, device="cpu")
     chance = wp.zeros(draws, dtype=float, device="cpu")
     out = wp.zeros(count, dtype=float, device="cpu")
+    left = wp.zeros(draws, dtype=float, device="cpu")
     position = wp.vec3(1.0, 2.0, -1.0)
-    wp.launch(choices, draws, [tree, position, wp.array(u, dtype=wp.vec2, device="cpu"), entry, chance], device="cpu")
-    wp.launch(chances, count, [tree, position, out], device="cpu")
+    wp.launch(choices, draws, [tree, position, normal, wp.array(u, dtype=wp.vec2, device="cpu"), entry, chance, left],
+              device="cpu")
+    wp.launch(chances, count, [tree, position, normal, out], device="cpu")
+    assert np.abs(np.histogram(left.numpy(), 16, (0.0, 1.0))[0] / (draws / 16) - 1.0).max() < 0.05
     assert entry.numpy().min() >= 0
     np.testing.assert_allclose(chance.numpy(), out.numpy()[entry.numpy()], rtol=1e-4)
     seen = np.bincount(entry.numpy(), minlength=count)
@@ -77,6 +88,22 @@ def test_near_lights_win():
     out = wp.zeros(1000, dtype=float, device="cpu")
     ratios = []
     for near in range(0, 1000, 20):
-        wp.launch(chances, 1000, [tree, wp.vec3(*map(float, center[near] + 0.01)), out], device="cpu")
+        wp.launch(chances, 1000, [tree, wp.vec3(*map(float, center[near] + 0.01)), ANYWHERE, out], device="cpu")
         ratios.append(out.numpy()[near] * 1000)
     assert np.median(ratios) > 8 and np.mean(np.array(ratios) > 1) > 0.9
+
+
+def test_lights_behind_a_surface_are_not_chosen():
+    """Give no chance to lights wholly below a receiver's horizon, and more to those overhead than to grazing ones."""
+    center = np.array([(0.0, 0.0, 5.0), (5.0, 0.0, 0.5), (0.0, 0.0, -5.0), (1.0, 1.0, -0.5)])
+    tree = build_light_tree(center - 0.1, center + 0.1, np.ones(4))
+    struct = types.LightTree()
+    struct.low, struct.high = (wp.array(x, dtype=wp.vec4, device="cpu") for x in (tree.low, tree.high))
+    struct.entries, struct.places = (wp.array(x, dtype=int, device="cpu") for x in (tree.entries, tree.places))
+    struct.levels = tree.levels
+    out = wp.zeros(4, dtype=float, device="cpu")
+    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), UP, out], device="cpu")
+    overhead, grazing, *behind = out.numpy()
+    assert behind == [0.0, 0.0] and overhead > 3.0 * grazing > 0.0
+    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), ANYWHERE, out], device="cpu")
+    assert out.numpy().min() > 0.0

@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from burnish.engine.environment import running_sums
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
 from burnish.engine.settings import FilmSettings
@@ -280,3 +281,40 @@ def test_empty_scene():
     """Render the world where there is nothing else, and alpha 1."""
     image = scenes.render(scenes.delta({}, [], {}, background=0.25), samples=1)
     np.testing.assert_allclose(image, np.broadcast_to([0.25, 0.25, 0.25, 1.0], image.shape), rtol=1e-6)
+
+
+def test_layers_are_stratified():
+    """Look through a half clear sheet at an emitter: a power of two of samples passes it nearly equally often."""
+    meshes = {"sheet": scenes.quad(2.0, 0.5), "light": scenes.quad(2.0, 0.0)}
+    objects = [("sheet", np.eye(4), "half"), ("light", np.eye(4), "light")]
+    materials = {"half": scenes.transparent(0.46, color=0.0), "light": scenes.emitter(1.0, 0.0)}
+    image = scenes.render(scenes.delta(meshes, objects, materials), scenes.camera_above(), (16, 16), 16)[..., 0]
+    np.testing.assert_allclose(image.mean(), 0.46, atol=0.01)
+    # By white noise 0.125.
+    assert image.std() < 0.05
+
+
+def test_sun_and_sky_share_shadow_rays_by_what_they_bring():
+    """Send few rays to a sky that is far darker than the sun, and none to a sun that has set: little noise in both."""
+    def spread(height):
+        sun = scenes.lamp("SUN", 10.0, scenes.place() @ np.diag([1.0, height, height, 1.0]), angle=0.01)
+        image = scenes.render(
+            scenes.delta({"floor": scenes.quad(2.0)}, [("floor", np.eye(4), "grey")],
+                         {"grey": scenes.material(color=0.5)}, [sun], 0.05), scenes.camera_above(), (16, 16), 4)
+        return image[..., 0].mean(), image[..., 0].std() / image[..., 0].mean()
+
+    lit, lit_noise = spread(1.0)
+    dark, dark_noise = spread(-1.0)
+    np.testing.assert_allclose(dark, 0.025, rtol=0.02)
+    assert lit > 20.0 * dark and dark_noise < 0.05
+    # With equal chances for both and one sample each, half of the samples bring next to nothing.
+    assert lit_noise < 0.05
+
+
+def test_running_sums_are_the_probabilities():
+    """Draw a world's texels by rounded sums exactly as often as the table says."""
+    weights = np.random.default_rng(3).exponential(size=(16, 32)) ** 4
+    rows, columns, chance = running_sums(weights)
+    assert rows[-1] == 1.0 and (columns[:, -1] == 1.0).all()
+    np.testing.assert_allclose(chance.sum(dtype=np.float64), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(chance, weights / weights.sum(), atol=2e-7)

@@ -81,3 +81,18 @@ def test_warps_keep_their_densities():
     assert b.min() >= 0 and b.sum(1).max() <= 1 + 1e-6
     np.testing.assert_allclose(b.mean(0), 1 / 3, atol=1e-3)
     np.testing.assert_allclose((b**2).mean(0), 1 / 6, atol=1e-3)
+
+
+@wp.kernel
+def both_ways(seed: wp.uint32, dimension: int, pairs: wp.array[wp.vec2], numbers: wp.array[float]):
+    i = wp.tid()
+    pairs[i] = sampling.sample_pair(seed, wp.uint32(i), dimension)
+    numbers[i] = sampling.sample_number(seed, wp.uint32(i), dimension)
+
+
+def test_number_is_the_first_of_a_pair(device):
+    """Make one number of a sequence without its partner, stratified like the pair."""
+    pairs, numbers = wp.zeros(64, dtype=wp.vec2, device=device), wp.zeros(64, dtype=float, device=device)
+    wp.launch(both_ways, 64, [wp.uint32(12345), 7, pairs, numbers], device=device)
+    np.testing.assert_array_equal(pairs.numpy()[:, 0], numbers.numpy())
+    assert sorted((numbers.numpy() * 64).astype(int)) == list(range(64))
