@@ -42,6 +42,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 SWEEP_FRAMES = wp.constant(16.0)
 REBALANCE_MAX = wp.constant(4.0)
 
+# Share of a source's own light that stands for a hit of which nothing is known. All of it would feed on itself: a white
+# ball under a white sky came out 6 % too bright, while a share of 0.5 leaves rooms a tenth darker for some frames.
+UNKNOWN_SHARE = wp.constant(0.8)
+
 
 @wp.func
 def sweeping(view: View) -> bool:
@@ -214,7 +218,8 @@ def spread_light(
 ):
     """Find anew what the cache's indirect light adds to each bounce ray; add it up for a further sweep if it `goes_on`.
 
-    Where nothing is known of a hit's cell nor about it, the source's own light stands for it: black would be lost.
+    Where nothing is known of a hit's cell nor about it, most of the source's own light stands for it: black would be
+    lost.
     """
     if not sweeping(views[0]):
         return
@@ -233,7 +238,7 @@ def spread_light(
         if not light[3] > 0.0 and beyond != NO_CELL:
             light = grid_out.spread[beyond]
         if not light[3] > 0.0:
-            light = grid_out.spread[source]
+            light = UNKNOWN_SHARE * grid_out.spread[source]
         carried = wp.cw_mul(bounce_reflectance(vertices_out, slot), rgb(light))
         if not is_finite3(carried):
             carried = wp.vec3(0.0, 0.0, 0.0)

@@ -306,9 +306,9 @@ def test_sun_and_sky_share_shadow_rays_by_what_they_bring():
     lit, lit_noise = spread(1.0)
     dark, dark_noise = spread(-1.0)
     np.testing.assert_allclose(dark, 0.025, rtol=0.02)
-    assert lit > 20.0 * dark and dark_noise < 0.05
+    assert lit > 20.0 * dark and dark_noise < 0.08
     # With equal chances for both and one sample each, half of the samples bring next to nothing.
-    assert lit_noise < 0.05
+    assert lit_noise < 0.005
 
 
 def test_running_sums_are_the_probabilities():
