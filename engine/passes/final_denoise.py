@@ -67,7 +67,7 @@ class FinalDenoise:
         fewest, most = GUIDE_SAMPLES
         wanted = min(max(2 * samples, fewest), most)
         if self._guides is None or self._guide_samples < wanted:
-            count = sum(band.count for band in tracer.bands)
+            count, options = sum(band.count for band in tracer.bands), without_roulette(options)
             albedo, normal = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
 
             def job(band: Band) -> Callable[[], None]:
@@ -121,6 +121,15 @@ class FinalDenoise:
             launch(denoise_guides.mix_pictures, count, [0, denoised, picture, 1.0 - FRAMES_SHARE], [denoised],
                    self.device)
         return denoised
+
+
+def without_roulette(options: Options) -> Options:
+    """Return options with which no path ends by chance: guides would be noisy where they look through mirrors."""
+    whole = Options()
+    for name in Options.vars:
+        setattr(whole, name, getattr(options, name))
+    whole.roulette_start = MIRRORS + 1
+    return whole
 
 
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,

@@ -126,6 +126,18 @@ def test_guides_look_into_mirrors():
     np.testing.assert_allclose(normal[:, -20:], np.broadcast_to((0.0, 0.0, -1.0), (SIZE[1], 20, 3)), atol=0.01)
 
 
+def test_guides_follow_every_path_through_mirrors():
+    """See the same in all pixels between two endless mirrors: where roulette ended paths, guides would be noisy."""
+    down = scenes.place(z=5.0)
+    down[1, 1] = down[2, 2] = -1.0
+    made = open_session(Integrator.REFERENCE, delta=scenes.delta(
+        {"sheet": scenes.quad(50.0)}, [("sheet", np.eye(4), "mirror"), ("sheet", down, "mirror")],
+        {"mirror": scenes.material("GLOSSY", color=0.8, roughness=0.0)}))
+    albedo = made.guides()[0].numpy()
+    np.testing.assert_allclose(albedo, 0.8 ** (final_denoise.MIRRORS + 1), rtol=0.01)
+    made.close()
+
+
 def test_guides_are_kept_until_the_view_changes():
     """Trace guides once for a view, and again only where there are more samples, up to a limit."""
     made = open_session(Integrator.REFERENCE)
