@@ -30,9 +30,9 @@ def white_balls(setup, kinds, frames):
     """Find the light of Reference on rows of white balls, one row for each kind, in a white world.
 
     Balls see each other, and all of them are nearly as bright as the world. Rough glass keeps 98 % of the light in
-    Reference (see albedo_tables.glass_sample), here all of it.
+    Reference (see albedo_tables.glass_sample), here all of it. Coats of medium roughness lose 1 % over metal.
     """
-    tolerance = 0.03 if "glass" in kinds else 0.01
+    tolerance = 0.03 if "glass" in kinds else 0.015 if "coated metal" in kinds else 0.01
     scene = made.white_balls(setup.size, [materials(kind) for kind in kinds])
     picture, truth, positions = setup.picture(scene, frames), setup.truth(scene), setup.positions(scene)
     figures = [bad_pixels(f"white balls, {frames} frames", picture)]
