@@ -9,11 +9,11 @@ from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, Vertices, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
-from .lights import sample_light
+from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .paths import ENDED, PENDING_NONE, PENDING_WORLD, Paths, load_hit
 from .reference import set_shadow_ray
-from .sampling import sample_pair
+from .sampling import sample_number, sample_pair
 from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 from .view import View
 
@@ -65,12 +65,9 @@ def choose_cache_lights(
     normal = unpack_normal(vertices.normal[slot])
     seed = slot_seed(slot)
     index = wp.uint32(views[0].frame)
-    side = wp.vec3(0.0, 0.0, 0.0)
-    if weighed == 0 and reflectance[3] == 0.0:
-        side = normal
     s = sample_light(
-        scene, point.position, side, sample_pair(seed, index, DIMENSION_LIGHT),
-        sample_pair(seed, index, DIMENSION_PLACE)[0])
+        scene, point.position, cell_side(normal, reflectance[3], weighed), sample_pair(seed, index, DIMENSION_LIGHT),
+        sample_number(seed, index, DIMENSION_PLACE))
     if s.kind < 0 or (s.visibility & VISIBLE_DIFFUSE) == 0:
         return
     cosine = wp.dot(normal, s.wi)

@@ -18,7 +18,14 @@ from .packing import rgb
 from .paths import ENDED, Paths, hit_point
 from .principled import sample_bsdf
 from .reflectance import bsdf_albedo
-from .sampling import DIMENSION_BSDF, DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, sample_pair
+from .sampling import (
+    DIMENSION_BSDF,
+    DIMENSION_FIRST_BOUNCE,
+    DIMENSION_LOBE,
+    DIMENSIONS_PER_BOUNCE,
+    sample_number,
+    sample_pair,
+)
 from .types import HOLDOUT, Bsdf, BsdfSample, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -87,9 +94,9 @@ def find_surfaces(
             albedo = parts.diffuse + parts.translucent + parts.specular + parts.transmitted
             if bounce < bounces and tells_little(scene, bsdf, point.wo, albedo):
                 dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-                lobe = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
+                choice = sample_number(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
                 u = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_BSDF)
-                sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], lobe[0]))
+                sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
                 usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
                 if usable and (sample.delta == 1 or sample.roughness < SHARP):
                     go_on(point, sample, tint, paths_out, path)

@@ -27,9 +27,9 @@ from .direct_reservoir import (
 )
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, has_surface, load_surface
-from .light_candidate import BELOW_ONE, choose, light_classes, replay
+from .light_candidate import choose, light_classes, replay
 from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
-from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_pair
+from .sampling import fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
 
@@ -65,12 +65,6 @@ def seed_of(view: View, options: DirectOptions, pixel: int) -> wp.uint32:
     """Return the seed of a pixel's sequences."""
     return pixel_seed_of(
         view.camera.crop_x + pixel % options.width, view.camera.crop_y + pixel // options.width, view.camera.seed)
-
-
-@wp.func
-def fraction(x: float) -> float:
-    """Return the part after the point, below 1."""
-    return wp.min(x - wp.floor(x), BELOW_ONE)
 
 
 @wp.func

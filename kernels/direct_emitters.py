@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import PI
-from .intersect import hit_error, instance_shift, world_vertex
-from .lights import LightSample, aim_at_triangle
+from .intersect import hit_error, instance_shift, triangle_material, world_vertex
+from .lights import LightSample, aim_at_triangle, mean_emission
 from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
 from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene
@@ -24,8 +23,7 @@ EMITTER_WORDS = wp.constant(7)
 @wp.func
 def is_constant(scene: Scene, instance: int, triangle: int) -> bool:
     """Return whether a triangle's emission is the same everywhere on its material."""
-    slot = wp.min(scene.geometry.slots[triangle], scene.geometry.instances[instance].material_count - 1)
-    material = scene.materials.instance_materials[scene.geometry.instances[instance].material_offset + slot]
+    material = triangle_material(scene, instance, triangle)
     return (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0
 
 
@@ -35,13 +33,9 @@ def emitted_radiance(scene: Scene, emitter: int, area: float, local_power: float
     instance = scene.lights.triangles[emitter][0]
     triangle = scene.lights.triangles[emitter][1]
     if is_constant(scene, instance, triangle):
-        slot = wp.min(scene.geometry.slots[triangle], scene.geometry.instances[instance].material_count - 1)
-        material = scene.materials.instance_materials[scene.geometry.instances[instance].material_offset + slot]
-        return scene.materials.materials[material].emission
-    tree = scene.lights.tree
-    share = tree.high[(1 << tree.levels) + tree.places[scene.lights.local_lamp_count + emitter]][3]
-    # Both sides shine. Where the few points of the power's estimate met darkness there may be light all the same.
-    mean = wp.max(share * local_power / wp.max(2.0 * PI * area, 1.0e-20), 1.0e-6 * local_power)
+        return scene.materials.materials[triangle_material(scene, instance, triangle)].emission
+    # Where the few points of the power's estimate met darkness there may be light all the same.
+    mean = wp.max(mean_emission(scene.lights, emitter, area), 1.0e-6 * local_power)
     return wp.vec3(mean, mean, mean)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import PI, TWO_PI, safe_sqrt
+from .sampling import BELOW_ONE
 from .types import Environment
 
 
@@ -70,7 +71,7 @@ def rest_of(sums: wp.array[float], first: int, place: int, u: float) -> float:
     below = float(0.0)
     if place > 0:
         below = sums[first + place - 1]
-    return wp.clamp((u - below) / wp.max(sums[first + place] - below, 1.0e-30), 0.0, 0.9999999)
+    return wp.clamp((u - below) / wp.max(sums[first + place] - below, 1.0e-30), 0.0, BELOW_ONE)
 
 
 @wp.func

@@ -10,10 +10,10 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import max_component
-from .intersect import MISS, Hit, closest_filtered_hit, surface_point
+from .intersect import MISS, Hit, closest_filtered_hit, may_emit, surface_point
 from .nodes import evaluate_transparency
 from .sampling import sample_number
-from .types import MATERIAL_EMISSION, MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
+from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
 
 MAX_LAYERS = wp.constant(32)
 
@@ -63,7 +63,7 @@ def step_past(point: ShadingPoint, direction: wp.vec3, t: float) -> float:
 def pass_chance(scene: Scene, point: ShadingPoint, transparency: wp.vec3, kind: int) -> float:
     """Return the probability with which a ray passes a layer."""
     chance = wp.clamp(max_component(transparency), 0.0, 1.0)
-    if (scene.materials.materials[point.material].flags & MATERIAL_EMISSION) != 0:
+    if may_emit(scene, point.material):
         if (scene.geometry.instances[point.instance].visibility & kind) != 0:
             chance = wp.min(chance, EMITTER_PASS_LIMIT)
     return chance

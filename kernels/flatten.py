@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3, transform_point
-from .intersect import Hit, surface_point, world_vertex
+from .intersect import Hit, surface_point, triangle_material, world_vertex
 from .nodes import evaluate_emission
 from .types import MATERIAL_CONSTANT_EMISSION, VISIBLE_DIFFUSE, Instance, Scene
 
@@ -58,8 +58,7 @@ def measure_emitters(
     hit = Hit()
     hit.instance = face[0]
     hit.triangle = face[1]
-    slot = wp.min(geometry.slots[face[1]], geometry.instances[face[0]].material_count - 1)
-    material = scene.materials.instance_materials[geometry.instances[face[0]].material_offset + slot]
+    material = triangle_material(scene, face[0], face[1])
     if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
         total = scene.materials.materials[material].emission
     elif area > 0.0:

@@ -24,7 +24,7 @@ from .reflection_rays import (
     start_ray,
 )
 from .reflection_types import ReflectionOptions, ReflectionSamples
-from .sampling import sample_cosine, sample_pair
+from .sampling import sample_cosine, sample_number, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_DIFFUSE, Scene
 from .view import View, pixel_footprint
@@ -67,7 +67,7 @@ def start_gathering(
     share = mean_component(m.diffuse) / wp.max(mean_component(total), 1.0e-20)
     side = float(1.0)
     lobe = m.diffuse
-    if sample_pair(start.seed, start.index, DIMENSION_LOBE)[0] >= share:
+    if sample_number(start.seed, start.index, DIMENSION_LOBE) >= share:
         side = float(-1.0)
         lobe = m.translucent
         share = 1.0 - share

@@ -15,7 +15,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
-from .types import FlatTriangles, Geometry, Scene, ShadingPoint
+from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, Scene, ShadingPoint
 from .wide_bvh import any_wide, closest_wide
 from .wide_loads import load_corner, load_instance, load_normal, load_slot
 
@@ -215,6 +215,19 @@ def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
     slot = wp.min(load_slot(geometry, hit.triangle), instance.material_count - 1)
     point.material = scene.materials.instance_materials[instance.material_offset + slot]
     return point
+
+
+@wp.func
+def triangle_material(scene: Scene, instance: int, triangle: int) -> int:
+    """Return the material of an instance's triangle."""
+    slot = wp.min(scene.geometry.slots[triangle], scene.geometry.instances[instance].material_count - 1)
+    return scene.materials.instance_materials[scene.geometry.instances[instance].material_offset + slot]
+
+
+@wp.func
+def may_emit(scene: Scene, material: int) -> bool:
+    """Return whether a material has a program that emits."""
+    return (scene.materials.materials[material].flags & MATERIAL_EMISSION) != 0
 
 
 @wp.func

@@ -18,6 +18,7 @@ from .geometry_math import PI, TWO_PI, safe_sqrt
 from .lamp_hit import FAR
 from .light_tree import choose_by_tree
 from .lights import LightSample, sample_lamp
+from .sampling import BELOW_ONE
 from .types import LIGHT_ENVIRONMENT, Environment, Lights, Scene
 
 # Candidate.light: the kind in its two highest bits, an index below.
@@ -28,9 +29,6 @@ CANDIDATE_WORLD = wp.constant(3)
 """Index: the texel of the excess table"""
 
 INDEX_BITS = wp.constant(wp.uint32((1 << 30) - 1))
-
-# The largest float that numbers rescaled to [0, 1) may reach.
-BELOW_ONE = wp.constant(0.9999999)
 
 
 @wp.struct

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import safe_sqrt
+from .sampling import BELOW_ONE, fraction
 from .types import LightTree
 
 # A light below this share of its sibling's importance is still chosen now and then: bounds are not the light.
@@ -95,7 +96,7 @@ def choose_by_tree(tree: LightTree, position: wp.vec3, normal: wp.vec3, u: wp.ve
     random = float(u[0])
     for level in range(tree.levels):
         if level == 8:
-            random = wp.min(wp.abs(random + u[1]) - wp.floor(random + u[1]), 0.9999999)
+            random = fraction(random + u[1])
         chance = first_child_chance(tree, 2 * node, position, normal)
         if random < chance:
             random = random / chance
@@ -105,7 +106,7 @@ def choose_by_tree(tree: LightTree, position: wp.vec3, normal: wp.vec3, u: wp.ve
             random = (random - chance) / (1.0 - chance)
             node = 2 * node + 1
             chosen.chance = chosen.chance * (1.0 - chance)
-        random = wp.min(random, 0.9999999)
+        random = wp.min(random, BELOW_ONE)
     chosen.left = random
     chosen.entry = tree.entries[node - (1 << tree.levels)]
     return chosen

@@ -14,7 +14,7 @@ from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
 from .intersect import hit_error, instance_shift, world_vertex
 from .lamp_hit import FAR, one_minus_cos_of_sphere, spot_attenuation, spread_attenuation
 from .light_tree import chance_by_tree, choose_by_tree
-from .sampling import sample_cone, sample_disk, sample_sphere, sample_triangle
+from .sampling import BELOW_ONE, sample_cone, sample_disk, sample_sphere, sample_triangle
 from .types import (
     LIGHT_AREA,
     LIGHT_ELLIPSE,
@@ -28,9 +28,6 @@ from .types import (
     Lights,
     Scene,
 )
-
-# The largest float that numbers rescaled to [0, 1) may reach.
-BELOW_ONE = wp.constant(0.9999999)
 
 
 @wp.struct
@@ -189,6 +186,12 @@ def aim_at_triangle(sample: LightSample, target: wp.vec3, double_area_normal: wp
 
 
 @wp.func
+def mean_emission(lights: Lights, emitter: int, area: float) -> float:
+    """Return an emissive triangle's mean radiance, as its power tells: both sides shine."""
+    return lights.emitter_power[emitter] / wp.max(TWO_PI * area, 1.0e-20)
+
+
+@wp.func
 def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) -> LightSample:
     """Draw a direction to an emissive triangle, uniform by area; the radiance is left to its material."""
     geometry = scene.geometry
@@ -213,9 +216,21 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
     if s.kind < 0:
         return s
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
-    s.brightness = scene.lights.emitter_power[emitter] / (PI * wp.length(wp.cross(p1 - p0, p2 - p0)))
+    s.brightness = mean_emission(scene.lights, emitter, 0.5 * wp.length(wp.cross(p1 - p0, p2 - p0)))
     s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, instance_shift(geometry, s.instance))
     return s
+
+
+@wp.func
+def cell_side(normal: wp.vec3, behind: float, weighed: int) -> wp.vec3:
+    """Return the normal to give sample_light for a hit whose light goes into a cell.
+
+    Zero where light from behind counts (`behind`: its share), and where rays weigh emission against light sampling
+    (`weighed` 1): they don't know the normal of where they began.
+    """
+    if weighed == 0 and behind == 0.0:
+        return normal
+    return wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func
@@ -292,7 +307,6 @@ def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, r
             left = local.left
             chance = chance * local.chance
         if lamp < 0:
-            s.kind = -1
             return s
         if lamp < lights.lamp_count and (chosen > 0 or lamp < lights.local_lamp_count):
             s = sample_lamp(lights.lamps[lamp], position, wp.vec2(left, u[1]))

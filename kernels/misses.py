@@ -7,10 +7,10 @@ import warp as wp
 
 from .environment_table import environment_pdf
 from .geometry_math import power_heuristic
-from .intersect import MISS
+from .intersect import MISS, may_emit, triangle_material
 from .lights import environment_chance
 from .nodes import evaluate_world
-from .paths import ENDED, Options, Paths, add_light, hit_material, limit_at, may_emit, survives
+from .paths import ENDED, Options, Paths, add_light, limit_at, survives
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -34,7 +34,8 @@ def shade_misses(
     if bounce == ENDED:
         return
     if paths_out.hit[path][0] != MISS:
-        if not may_emit(scene, hit_material(scene, paths_out, path)):
+        hit = paths_out.hit[path]
+        if not may_emit(scene, triangle_material(scene, hit[0], hit[1])):
             survives(options, paths_out, path, bounce)
         return
     kind = paths_out.kind[path]

@@ -9,7 +9,7 @@ from .geometry_math import is_finite3, max_component
 from .intersect import Hit, surface_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_ROULETTE, DIMENSIONS_PER_BOUNCE, sample_number
 from .shading_types import Closure, ShadingPoint
-from .types import MATERIAL_EMISSION, Scene
+from .types import Scene
 
 # Paths.state
 ENDED = wp.constant(-1)
@@ -185,15 +185,6 @@ def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoin
 
 
 @wp.func
-def hit_material(scene: Scene, paths: Paths, path: int) -> int:
-    """Return the material of a path's hit."""
-    hit = paths.hit[path]
-    instance = scene.geometry.instances[hit[0]]
-    slot = wp.min(scene.geometry.slots[hit[1]], instance.material_count - 1)
-    return scene.materials.instance_materials[instance.material_offset + slot]
-
-
-@wp.func
 def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float:
     """Return the probability with which Russian roulette lets a path be shaded at its hit.
 
@@ -204,12 +195,6 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float
     limit = wp.where(bounce < LONG_PATH, 1.0, 0.9)
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
-
-
-@wp.func
-def may_emit(scene: Scene, material: int) -> bool:
-    """Return whether a material has a program that emits."""
-    return (scene.materials.materials[material].flags & MATERIAL_EMISSION) != 0
 
 
 @wp.func

@@ -33,7 +33,7 @@ from .lobes import (
     tangent_about,
     to_local,
 )
-from .sampling import sample_cosine
+from .sampling import BELOW_ONE, sample_cosine
 from .sheen import sample_sheen
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, BsdfSample, BsdfValue
 
@@ -203,7 +203,7 @@ def sample_bsdf(bsdf: Bsdf, wo: wp.vec3, u: wp.vec3) -> BsdfSample:
     lobe = int(choice[0])
     if lobe == LOBE_NONE:
         return absorbed
-    s = sample_lobe(bsdf, wo, lobe, wp.vec2(wp.min(choice[1], 0.9999999), u[1]), u[2])
+    s = sample_lobe(bsdf, wo, lobe, wp.vec2(wp.min(choice[1], BELOW_ONE), u[1]), u[2])
     height = wp.dot(bsdf.geometric_normal, s.wi)
     if s.kind == VISIBLE_TRANSMISSION:
         height = -height

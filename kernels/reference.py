@@ -14,9 +14,9 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3, max_component, power_heuristic
-from .intersect import MISS, offset_origin
+from .intersect import MISS, may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR, lamp_hit
-from .lights import BELOW_ONE, LightSample, emitter_pdf, lamp_chance, sample_light
+from .lights import LightSample, emitter_pdf, lamp_chance, sample_light
 from .paths import (
     ENDED,
     LONG_PATH,
@@ -28,7 +28,6 @@ from .paths import (
     add_light,
     hit_point,
     limit_at,
-    may_emit,
     survives,
 )
 from .principled import evaluate_bsdf, prepare_bsdf, sample_bsdf
@@ -40,6 +39,7 @@ from .sampling import (
     DIMENSION_LOBE,
     DIMENSION_RESAMPLE,
     DIMENSIONS_PER_BOUNCE,
+    fraction,
     sample_number,
     sample_pair,
 )
@@ -62,16 +62,9 @@ from .types import (
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-
 # Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
 LIGHT_CANDIDATES = wp.constant(2)
 GOLDEN = wp.constant(0.6180340)
-
-
-@wp.func
-def fraction(x: float) -> float:
-    """Return the part after the point, below 1."""
-    return wp.min(x - wp.floor(x), BELOW_ONE)
 
 
 @wp.func
@@ -128,9 +121,7 @@ def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.
     pending = int(PENDING_NONE)
     carried = light
     if s.kind == LIGHT_TRIANGLE:
-        material = scene.materials.instance_materials[
-            scene.geometry.instances[s.instance].material_offset
-            + wp.min(scene.geometry.slots[s.triangle], scene.geometry.instances[s.instance].material_count - 1)]
+        material = triangle_material(scene, s.instance, s.triangle)
         if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
             carried = wp.cw_mul(light, scene.materials.materials[material].emission)
         else:
@@ -254,9 +245,7 @@ def sample_direct_light(
 
 
 @wp.func
-def continue_path(
-    point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int,
-):
+def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int):
     """Set up the next ray, or leave the path ended."""
     bounce = point.ray_depth
     weight = sample.weight
@@ -306,7 +295,6 @@ def shade_paths(
     seed = paths_out.seed[path]
     index = paths_out.index[path]
     dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-    lobe = sample_pair(seed, index, dimension + DIMENSION_LOBE)
     bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
     if max_component(bsdf.emission) > 0.0:
         add_emission(scene, options, point, bsdf.emission, paths_out, path)
@@ -320,5 +308,6 @@ def shade_paths(
         refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
         sample_direct_light(scene, point, bsdf, refill, dimension, paths_out, path)
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
-    sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], lobe[0]))
+    choice = sample_number(seed, index, dimension + DIMENSION_LOBE)
+    sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
     continue_path(point, bsdf, sample, paths_out, path)

@@ -15,13 +15,13 @@ from .cache_rays import Vertices
 from .environment_table import texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
-from .intersect import MISS, surface_point
-from .lights import BELOW_ONE, LightSample, sample_light
+from .intersect import MISS, surface_point, triangle_material
+from .lights import LightSample, cell_side, sample_light
 from .packing import unpack_normal
 from .paths import ENDED, Paths, load_hit
 from .reference import set_shadow_ray
 from .reflection_rays import FOUND_DIRECT, ReflectionRays
-from .sampling import hashed_unit, sample_pair
+from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
 from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -35,10 +35,7 @@ STREAM_PICK = wp.constant(wp.uint32(0x5049434B))
 def emitted(scene: Scene, world: wp.array[wp.vec3], s: LightSample) -> wp.vec3:
     """Return what a light sample's radiance is to be multiplied by, as set_shadow_ray does it; 1 for programs."""
     if s.kind == LIGHT_TRIANGLE:
-        material = scene.materials.instance_materials[
-            scene.geometry.instances[s.instance].material_offset
-            + wp.min(scene.geometry.slots[s.triangle], scene.geometry.instances[s.instance].material_count - 1)]
-        return scene.materials.materials[material].emission
+        return scene.materials.materials[triangle_material(scene, s.instance, s.triangle)].emission
     if s.kind == LIGHT_ENVIRONMENT:
         if scene.environment.constant == 0:
             return world[texel_of(scene.environment, s.wi)]
@@ -87,9 +84,7 @@ def choose_reflection_lights(
         vertices_out.cell[slot] = NO_CELL
     seed = paths_out.seed[slot]
     index = paths_out.index[slot]
-    side = wp.vec3(0.0, 0.0, 0.0)
-    if weighed == 0 and reflectance[3] == 0.0:
-        side = normal
+    side = cell_side(normal, reflectance[3], weighed)
     chosen = LightSample()
     target = float(0.0)
     total = float(0.0)
@@ -100,7 +95,7 @@ def choose_reflection_lights(
         u = sample_pair(seed, index, dimension)
         choice = wp.min((float(k) + u[0]) / float(candidates), BELOW_ONE)
         s = sample_light(
-            scene, point.position, side, wp.vec2(choice, u[1]), sample_pair(seed, index, dimension + 1)[0])
+            scene, point.position, side, wp.vec2(choice, u[1]), sample_number(seed, index, dimension + 1))
         if s.kind >= 0 and (s.visibility & VISIBLE_DIFFUSE) != 0:
             value = wp.float32(1.0)
             if candidates > 1:

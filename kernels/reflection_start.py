@@ -20,7 +20,7 @@ from .reflection_rays import (
     start_ray,
 )
 from .reflection_types import ReflectionOptions, ReflectionSamples
-from .sampling import sample_pair
+from .sampling import sample_number, sample_pair
 from .specular_lobes import SpecularLobes, lobe_frame, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_GLOSSY, Scene
@@ -77,8 +77,8 @@ def start_reflections(
     surface = load_surface(view, gbuffer, options.width, pixel)
     wo = view_direction(view, surface)
     lobes = specular_lobes(m, surface, wo)
-    pick = sample_pair(start.seed, start.index, DIMENSION_LOBE)
-    direction = sample_lobes(lobes, sample_pair(start.seed, start.index, DIMENSION_DIRECTION), pick[0])
+    pick = sample_number(start.seed, start.index, DIMENSION_LOBE)
+    direction = sample_lobes(lobes, sample_pair(start.seed, start.index, DIMENSION_DIRECTION), pick)
     pdf = lobes_pdf(lobes, direction)
     weight = wp.vec3(0.0, 0.0, 0.0)
     if pdf > 0.0:

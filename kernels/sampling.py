@@ -37,6 +37,16 @@ BITS_CCCCCCCC = wp.constant(wp.uint32(0xCCCCCCCC))
 BITS_AAAAAAAA = wp.constant(wp.uint32(0xAAAAAAAA))
 
 
+# The largest float that numbers rescaled to [0, 1) may reach.
+BELOW_ONE = wp.constant(0.9999999)
+
+
+@wp.func
+def fraction(x: float) -> float:
+    """Return the part after the point, below 1."""
+    return wp.min(x - wp.floor(x), BELOW_ONE)
+
+
 @wp.func
 def hash32(value: wp.uint32) -> wp.uint32:
     """Mix 32 bits (the `lowbias32` constants of Wellons' integer hash prospector)."""
