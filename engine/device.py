@@ -31,9 +31,11 @@ __all__ = [
 PATH_BLOCK = 64
 BLOCK_SIZES = dict.fromkeys(
     ("tracing", "flat_tracing", "flat_paths", "misses", "layers", "layers_lean", "materials", "reference",
+     "reference_lean", "denoise_guides_lean",
      "shadow_layers", "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers", "gbuffer_layers_lean",
      "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials", "cache_lights",
      "cache_programs", "direct_candidates", "direct_shadow", "direct_shade", "probe_interpolate", "reproject",
+     "probe_blend", "probe_gather", "probe_light",
      "reflection_choice", "reflection_lean", "reflection_materials", "reflection_refract", "reflection_start",
      "reflection_tail", "reflection_trace"),
     PATH_BLOCK)
@@ -41,6 +43,8 @@ DEFAULT_BLOCK = 256
 
 _start_lock = threading.Lock()
 _started = False
+_load_lock = threading.Lock()
+_loaded: set[tuple[str, str]] = set()
 _pool: ThreadPoolExecutor | None = None
 _threads = 0
 
@@ -195,12 +199,23 @@ def block_size(module_name: str, device: str) -> int:
     return 1 if device == "cpu" else BLOCK_SIZES.get(module_name.rpartition(".")[2], DEFAULT_BLOCK)
 
 
+def _load(kernel: wp.Kernel, device: str) -> None:
+    """Load a kernel's module, once: threads that do it at the same time would unload each other's."""
+    key = kernel.module.name, device
+    if key not in _loaded:
+        with _load_lock:
+            kernel.module.load(wp.get_device(device), block_size(kernel.module.name, device))
+            _loaded.add(key)
+
+
 def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:
     """Launch a kernel over `count` threads with its module's block size."""
+    _load(kernel, device)
     wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))
 
 
 def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str, count: int = 1) -> wp.Launch:
     """Prepare a launch that is repeated; where `count` changes, `set_dim` comes before each `launch`."""
+    _load(kernel, device)
     return wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
                      record_cmd=True)

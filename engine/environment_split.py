@@ -18,7 +18,8 @@ from ..kernels.shadow_lights import shade_lights
 from .alias_table import build_alias_table
 from .device import block_size, run_bands
 from .environment import UNIFORM_SHARE, no_environment
-from .shadow_rays import make_options, make_queue, make_shadow_rays
+from .shadow_rays import make_options, make_queue, make_shadow_rays, one_number
+from .work_list import ONCE
 
 __all__ = ["no_split", "split_environment"]
 
@@ -193,6 +194,7 @@ def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.nda
     rays.shadow_light.fill_(wp.vec3(1.0, 1.0, 1.0))
     result = np.zeros((len(directions), 3))
     parts = 1 if wp.get_device(device).is_cuda else 16
+    none, whole = one_number(0, device), one_number(size, device)
     for low in range(0, len(directions), size):
         chunk = directions[low : low + size]
         padded = np.concatenate([chunk, np.zeros((size - len(chunk), 3), np.float32)])
@@ -202,7 +204,8 @@ def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.nda
         edges = [len(chunk) * i // parts for i in range(parts + 1)]
         run_bands([
             lambda a=a, b=b: wp.launch(
-                shade_lights, b - a, [scene, options, 0, queue[a:b]], [rays], device=device, block_dim=block)
+                shade_lights, b - a, [scene, options, none, ONCE, whole, queue[a:b]], [rays], device=device,
+                block_dim=block)
             for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
         result[low : low + len(chunk)] = rays.radiance.numpy()[: len(chunk), :3]
     return result

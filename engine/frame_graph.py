@@ -134,10 +134,14 @@ class FrameGraph:
         self._steps.append(step)
 
     def launch_queued(self, kernel: wp.Kernel, inputs: list, queue: wp.array, outputs: list) -> None:
-        """Record a kernel of the path tracer over all of a queue, which is its last input.
+        """Record a kernel of the path tracer over all of a queue, which is its last input; see launch_listed.
 
         Such kernels write only their own path, so a band takes a part of the queue.
         """
+        count = wp.array([len(queue)], dtype=int, device=self.device)
+        self._launch_queue(kernel, [*inputs, ONCE, count], queue, outputs)
+
+    def _launch_queue(self, kernel: wp.Kernel, inputs: list, queue: wp.array, outputs: list) -> None:
         step = self._step(kernel.key, [*inputs, queue], outputs)
         for low, high in self._bands(len(queue)):
             step.launches.append(record(kernel, [*inputs, queue[low:high]], outputs, self.device, high - low))
@@ -170,7 +174,7 @@ class FrameGraph:
             threads = min(len(work.queue), FEW_THREADS if few else LISTED_THREADS)
             self.launch(kernel, threads, [*inputs, threads, work.count, work.queue], outputs, banded=False)
         else:
-            self.launch_queued(kernel, [*inputs, ONCE, work.count], work.queue, outputs)
+            self._launch_queue(kernel, [*inputs, ONCE, work.count], work.queue, outputs)
 
     def _bands(self, count: int) -> list[tuple[int, int]]:
         if self.cuda or count < 2 * BAND_MINIMUM:

@@ -376,23 +376,23 @@ class Session:
     def _options(self, passes: bool) -> Options:
         """Return the kernels' settings; the same object as long as they are the same."""
         scene = self._scene
-        key = (self.settings.light_paths, self.settings.film, scene.structures.has_filtered,
-               scene.has_light_programs)
+        key = (self.settings.light_paths, self.settings.film, scene.structures.has_filtered, scene.has_light_programs,
+               scene.material_table.lean)
         if passes not in self._kept_options or self._kept_options[passes][0] != key:
             self._kept_options[passes] = (key, self._make_options(passes))
         return self._kept_options[passes][1]
 
     def _make_options(self, passes: bool) -> Options:
         paths, options = self.settings.light_paths, Options()
-        options.max_bounces = paths.max_bounces
-        options.roulette_start = paths.roulette_start
-        options.clamp_direct = paths.clamp_direct
-        options.clamp_indirect = paths.clamp_indirect
+        options.max_bounces, options.roulette_start = paths.max_bounces, paths.roulette_start
+        options.clamp_direct, options.clamp_indirect = paths.clamp_direct, paths.clamp_indirect
         options.transparent = int(self.settings.film.transparent)
         options.exposure = self.settings.film.exposure
         options.passes = int(passes)
         options.filtered = int(self._scene.structures.has_filtered)
         options.programs = int(self._scene.has_light_programs)
+        lean = self._scene.material_table.lean
+        options.all_lean, options.lean_layers = int(lean.surface), int(lean.transparency)
         return options
 
     def _memory(self) -> int:

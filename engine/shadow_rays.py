@@ -9,7 +9,7 @@ import warp as wp
 from ..kernels.paths import Options, Paths
 from ..kernels.shading_types import Closure
 
-__all__ = ["make_options", "make_queue", "make_shadow_rays"]
+__all__ = ["make_options", "make_queue", "make_shadow_rays", "one_number"]
 
 RAY = {"shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float}
 """What every shadow ray has"""
@@ -56,6 +56,11 @@ def make_shadow_rays(count: int, device: str, *, layers: bool, programs: bool) -
 def make_queue(count: int, device: str) -> wp.array:
     """Return the queue of all slots in order."""
     return wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
+
+
+def one_number(value: int, device: str) -> wp.array:
+    """Return an array of one number, for kernels that may find another there at every launch."""
+    return wp.array([value], dtype=int, device=device)
 
 
 def make_options(*, filtered: bool) -> Options:

@@ -11,8 +11,8 @@ from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
+from .path_shading import set_shadow_ray
 from .paths import ENDED, PENDING_NONE, PENDING_WORLD, Paths, load_hit
-from .reference import set_shadow_ray
 from .sampling import sample_number, sample_pair
 from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 from .view import View

@@ -20,7 +20,7 @@ from .sampling import sample_pair
 from .types import MATERIAL_FLAT_SHIFT, VISIBLE_DIFFUSE, Scene, ShadingPoint
 from .view import View, eye_position, pixel_footprint
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Largest value in a sample: what is brighter came from a division by nearly nothing.
 BRIGHTEST = wp.constant(1.0e9)

@@ -11,7 +11,7 @@ from .nodes import run, world_point
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
 from .types import VISIBLE_DIFFUSE, Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

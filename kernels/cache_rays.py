@@ -21,7 +21,7 @@ from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_cosine, s
 from .types import VISIBLE_DIFFUSE, Scene
 from .view import View, settling_frames
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Share of the bounce rays that go on from where the last frame's ended: chains of any length form.
 KEPT_SHARE = wp.constant(0.25)

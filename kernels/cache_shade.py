@@ -13,7 +13,7 @@ from .paths import Paths
 from .probe_rays import ProbeRays
 from .view import View, settling_frames
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # The loop from cell to cell must lose something, or light grows without end between surfaces of albedo 1.
 FEEDBACK_MAX = wp.constant(0.999)

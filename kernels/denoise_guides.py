@@ -28,7 +28,7 @@ from .sampling import (
 )
 from .types import HOLDOUT, Bsdf, BsdfSample, Scene, ShadingPoint
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Perceptual roughness below which a lobe counts as a mirror.
 SHARP = wp.constant(0.15)
@@ -63,48 +63,80 @@ def go_on(point: ShadingPoint, sample: BsdfSample, tint: wp.vec3, paths: Paths, 
     paths.cone[path] = wp.vec2(point.footprint, paths.cone[path][1])
 
 
+@wp.func
+def show(albedo: wp.vec3, normal: wp.vec3, paths: Paths, path: int):
+    """End a path at what it shows: `radiance` becomes that's albedo, `shadow_light` its normal."""
+    paths.state[path] = ENDED
+    paths.radiance[path] = wp.vec4(albedo[0], albedo[1], albedo[2], 1.0)
+    paths.shadow_light[path] = normal
+
+
+@wp.func
+def meet_guide(
+    scene: Scene, exposure: float, bounces: int, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int,
+):
+    """End a path at a surface, or send it on if that is a mirror. Of what shines the light is the albedo, at most 1."""
+    bounce = point.ray_depth
+    none = wp.vec3(0.0, 0.0, 0.0)
+    if bounce == 0 and (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
+        show(none, none, paths, path)
+        return
+    tint = paths.throughput[path]
+    parts = bsdf_albedo(scene.tables, bsdf, point.wo)
+    albedo = parts.diffuse + parts.translucent + parts.specular + parts.transmitted
+    if bounce < bounces and tells_little(scene, bsdf, point.wo, albedo):
+        dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
+        choice = sample_number(paths.seed[path], paths.index[path], dimension + DIMENSION_LOBE)
+        u = sample_pair(paths.seed[path], paths.index[path], dimension + DIMENSION_BSDF)
+        sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
+        usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
+        if usable and (sample.delta == 1 or sample.roughness < SHARP):
+            go_on(point, sample, tint, paths, path)
+            return
+    show(wp.cw_mul(tint, albedo + bsdf.emission * exposure), bsdf.normal, paths, path)
+
+
+@wp.kernel
+def show_misses(
+    # In:
+    exposure: float,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Show the world, which shade_misses has put into `radiance`, where paths have left the scene."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if paths_out.hit[path][0] == MISS:
+            show(rgb(paths_out.radiance[path]) * exposure, wp.vec3(0.0, 0.0, 0.0), paths_out, path)
+
+
 @wp.kernel
 def find_surfaces(
     # In:
     scene: Scene,
     exposure: float,
     bounces: int,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """End paths at surfaces: `radiance` becomes their albedo, `shadow_light` their normal; mirrors send them on.
-
-    Of the world, which shade_misses has put into `radiance`, and of what shines the light is the albedo, at most 1.
-    """
-    path = queue[wp.tid()]
-    bounce = paths_out.state[path]
-    none = wp.vec3(0.0, 0.0, 0.0)
-    paths_out.state[path] = ENDED
-    albedo = none
-    normal = none
-    if paths_out.hit[path][0] == MISS:
-        albedo = rgb(paths_out.radiance[path]) * exposure
-    else:
-        point = hit_point(scene, paths_out, path, bounce)
-        tint = paths_out.throughput[path]
-        if bounce > 0 or (scene.geometry.instances[point.instance].visibility & HOLDOUT) == 0:
+    """Take in listed hits whose closures are known, see meet_guide; at most `bounces` mirrors send a path on."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        bounce = paths_out.state[path]
+        if bounce != ENDED and paths_out.hit[path][0] != MISS:
+            point = hit_point(scene, paths_out, path, bounce)
             bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
-            parts = bsdf_albedo(scene.tables, bsdf, point.wo)
-            albedo = parts.diffuse + parts.translucent + parts.specular + parts.transmitted
-            if bounce < bounces and tells_little(scene, bsdf, point.wo, albedo):
-                dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-                choice = sample_number(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
-                u = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_BSDF)
-                sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
-                usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
-                if usable and (sample.delta == 1 or sample.roughness < SHARP):
-                    go_on(point, sample, tint, paths_out, path)
-                    return
-            albedo = wp.cw_mul(tint, albedo + bsdf.emission * exposure)
-            normal = bsdf.normal
-    paths_out.radiance[path] = wp.vec4(albedo[0], albedo[1], albedo[2], 1.0)
-    paths_out.shadow_light[path] = normal
+            meet_guide(scene, exposure, bounces, point, bsdf, paths_out, path)
 
 
 @wp.kernel

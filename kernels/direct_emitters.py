@@ -14,7 +14,7 @@ from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
 from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 EMITTER_WORDS = wp.constant(7)
 """Of two floats: a corner and two edges (9), radiance (3), error along the normal, ray visibility"""

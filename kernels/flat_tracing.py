@@ -198,7 +198,7 @@ def trace_flat_shadow_layers(
     first: int,
     scene: Scene,
     options: Options,
-    bounce: int,
+    bounces: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
@@ -211,4 +211,4 @@ def trace_flat_shadow_layers(
         scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
     store_layer(paths_out, slot, hit)
     if hit.instance == MISS and paths_out.shadow_pending[slot] == PENDING_NONE:
-        add_shadow_light(paths_out, options, bounce, slot, paths_out.shadow_light[slot])
+        add_shadow_light(paths_out, options, bounces[0], slot, paths_out.shadow_light[slot])

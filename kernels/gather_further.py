@@ -32,7 +32,7 @@ from .reflection_rays import (
 from .sampling import sample_cosine, sample_pair
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Sizes of a cell from which on the cache answers.
 NEAR_CELLS = wp.constant(2.0)

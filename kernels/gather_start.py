@@ -29,7 +29,7 @@ from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_DIFFUSE, Scene
 from .view import View, pixel_footprint
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Least density [1/sr] of a direction: samples must have one.
 PDF_MIN = wp.constant(1.0e-6)

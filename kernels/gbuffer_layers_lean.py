@@ -15,7 +15,7 @@ from .types import VISIBLE_CAMERA, Scene
 from .view import View
 from .wide_loads import load_view
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

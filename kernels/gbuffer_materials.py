@@ -20,7 +20,7 @@ from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sam
 from .types import Closure, Scene
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

@@ -11,7 +11,7 @@ from .paths import ENDED, Paths, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Sets the layers' random numbers apart from all other streams.
 LAYER_STREAM = wp.constant(0x4C000000)
@@ -21,19 +21,23 @@ LAYER_STREAM = wp.constant(0x4C000000)
 def filter_paths(
     # In:
     scene: Scene,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
     """Walk through the layers of triangles that need a test, in front of the opaque hit."""
-    path = queue[wp.tid()]
-    if paths_out.state[path] == ENDED or paths_out.layer[path][0] == MISS:
-        return
-    seed = hash_combine(paths_out.seed[path], wp.uint32(paths_out.state[path] + LAYER_STREAM))
-    found = accept_hit(
-        scene, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path),
-        load_layer(paths_out, path), paths_out.kind[path], paths_out.state[path], paths_out.cone[path], seed,
-        paths_out.index[path])
-    store_hit(paths_out, path, found.hit)
-    paths_out.overruns[path] = paths_out.overruns[path] + found.overrun
-    paths_out.throughput[path] = wp.cw_mul(paths_out.throughput[path], found.weight)
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if paths_out.state[path] != ENDED and paths_out.layer[path][0] != MISS:
+            seed = hash_combine(paths_out.seed[path], wp.uint32(paths_out.state[path] + LAYER_STREAM))
+            found = accept_hit(
+                scene, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path),
+                load_layer(paths_out, path), paths_out.kind[path], paths_out.state[path], paths_out.cone[path], seed,
+                paths_out.index[path])
+            store_hit(paths_out, path, found.hit)
+            paths_out.overruns[path] = paths_out.overruns[path] + found.overrun
+            paths_out.throughput[path] = wp.cw_mul(paths_out.throughput[path], found.weight)

@@ -12,7 +12,7 @@ from .paths import ENDED, Paths, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

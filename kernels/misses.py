@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The path tracer's kernel for rays that leave the scene, and for the paths that end where they hit."""
+"""The path tracer's kernel for what rays meet besides surfaces: lamps and the world; and for paths that end at hits."""
 
 from __future__ import annotations
 
@@ -8,12 +8,62 @@ import warp as wp
 from .environment_table import environment_pdf
 from .geometry_math import power_heuristic
 from .intersect import MISS, may_emit, triangle_material
-from .lights import environment_chance
+from .lamp_hit import FAR, lamp_hit
+from .lights import environment_chance, lamp_chance
 from .nodes import evaluate_world
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
-from .types import Scene
+from .types import LIGHT_HITTABLE, MATERIAL_LEAN, Scene
+from .wide_loads import load_material_flags
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.func
+def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
+    """Add the lamps that the ray meets before its hit; lamps hide nothing."""
+    origin = paths.origin[path]
+    direction = paths.direction[path]
+    bounce = paths.state[path]
+    pdf = paths.pdf[path]
+    t_max = paths.t[path]
+    if paths.hit[path][0] == MISS:
+        t_max = FAR
+    for i in range(scene.lights.lamp_count):
+        flags = scene.lights.lamps[i].flags
+        visibility = scene.lights.lamps[i].visibility
+        if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
+            hit = lamp_hit(scene.lights.lamps[i], origin, direction, t_max)
+            if hit.t > 0.0:
+                weight = float(1.0)
+                if pdf > 0.0:
+                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
+                light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
+                add_light(paths, path, light, limit_at(options, bounce))
+
+
+@wp.func
+def add_world(scene: Scene, options: Options, paths: Paths, path: int, bounce: int):
+    """Add the world to a path that leaves the scene."""
+    kind = paths.kind[path]
+    direction = paths.direction[path]
+    if bounce == 0 and options.transparent == 1:
+        r = paths.radiance[path]
+        paths.radiance[path] = wp.vec4(r[0], r[1], r[2], 0.0)
+        return
+    if (scene.environment.visibility & kind) == 0:
+        return
+    radiance = scene.environment.radiance
+    if scene.environment.constant == 0:
+        # Filtered for the camera alone: light sampling sees the world unfiltered, and both must agree.
+        radiance = evaluate_world(scene, direction, kind, bounce, wp.where(bounce == 0, paths.cone[path][1], 0.0))
+    weight = float(1.0)
+    pdf = paths.pdf[path]
+    if pdf > 0.0 and scene.lights.environment_class >= 0:
+        light_pdf = environment_pdf(scene.environment, direction)
+        weight = power_heuristic(pdf, light_pdf * environment_chance(scene, paths.side[path]))
+    add_light(paths, path, wp.cw_mul(paths.throughput[path], radiance) * weight, limit_at(options, bounce))
+    if options.passes == 1 and bounce == 0:
+        paths.environment[path] = radiance
 
 
 @wp.kernel
@@ -21,41 +71,34 @@ def shade_misses(
     # In:
     scene: Scene,
     options: Options,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
 ):
-    """Add the world to the paths that leave the scene, which shade_paths ends, and play roulette with the others.
+    """Add the lamps that rays meet, add the world to the paths that leave the scene and end them, play roulette.
 
-    Not yet where the hit may emit: shade_paths adds that first.
+    Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials need the full node machine.
     """
-    path = queue[wp.tid()]
-    bounce = paths_out.state[path]
-    if bounce == ENDED:
-        return
-    if paths_out.hit[path][0] != MISS:
-        hit = paths_out.hit[path]
-        if not may_emit(scene, triangle_material(scene, hit[0], hit[1])):
-            survives(options, paths_out, path, bounce)
-        return
-    kind = paths_out.kind[path]
-    direction = paths_out.direction[path]
-    if bounce == 0 and options.transparent == 1:
-        r = paths_out.radiance[path]
-        paths_out.radiance[path] = wp.vec4(r[0], r[1], r[2], 0.0)
-        return
-    if (scene.environment.visibility & kind) == 0:
-        return
-    radiance = scene.environment.radiance
-    if scene.environment.constant == 0:
-        # Filtered for the camera alone: light sampling sees the world unfiltered, and both must agree.
-        radiance = evaluate_world(scene, direction, kind, bounce, wp.where(bounce == 0, paths_out.cone[path][1], 0.0))
-    weight = float(1.0)
-    pdf = paths_out.pdf[path]
-    if pdf > 0.0 and scene.lights.environment_class >= 0:
-        light_pdf = environment_pdf(scene.environment, direction)
-        weight = power_heuristic(pdf, light_pdf * environment_chance(scene, paths_out.side[path]))
-    light = wp.cw_mul(paths_out.throughput[path], radiance) * weight
-    add_light(paths_out, path, light, limit_at(options, bounce))
-    if options.passes == 1 and bounce == 0:
-        paths_out.environment[path] = radiance
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        bounce = paths_out.state[path]
+        if bounce != ENDED:
+            if scene.lights.lamp_count > 0:
+                gather_lamps(scene, options, paths_out, path)
+            hit = paths_out.hit[path]
+            if hit[0] == MISS:
+                add_world(scene, options, paths_out, path, bounce)
+                paths_out.state[path] = ENDED
+            else:
+                material = triangle_material(scene, hit[0], hit[1])
+                going_on = True
+                if not may_emit(scene, material):
+                    going_on = survives(options, paths_out, path, bounce)
+                if going_on and (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_LEAN) == 0:
+                    queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -25,7 +25,7 @@ from .texture import sample_texture
 from .types import CLOSURE_PRINCIPLED, Bsdf, Closure, Scene, ShadingPoint, Tables
 from .wide_loads import load_instance, load_vec4, load_vec4i
 
-__all__ = ["LeanClosure", "LeanSurface", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
+__all__ = ["LeanClosure", "LeanSurface", "lean_bsdf", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
 
 LEAN_REGISTERS = wp.constant(8)
 
@@ -271,6 +271,17 @@ def full_closure(lean: LeanClosure) -> Closure:
     c.subsurface = lean.subsurface
     c.multiscatter = lean.multiscatter
     return c
+
+
+@wp.func
+def lean_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
+    """Return the BSDF of a lean closure: what layering.prepare_bsdf makes of it. Constants leave little of that."""
+    closure = full_closure(lean)
+    closure.kind = CLOSURE_PRINCIPLED
+    closure.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
+    closure.normal = lean.normal
+    closure.emission = lean.emission
+    return prepare_bsdf(tables, closure, point)
 
 
 @wp.func

@@ -40,6 +40,10 @@ class Options:
     """1: the scene has triangles that need a test per hit"""
     programs: int
     """1: lights may be programs (textured emitters, a world that varies)"""
+    all_lean: int
+    """1: the lean node machine runs all surface programs"""
+    lean_layers: int
+    """1: it runs all transparency programs"""
 
 
 @wp.struct

@@ -18,7 +18,7 @@ from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpd
 from .sampling import to_unit
 from .view import View, pixel_footprint, project
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Additive recurrence of the plastic number (Roberts 2018, "R2"), as fractions of 2^32.
 R2_X = wp.constant(wp.uint32(3242174889))

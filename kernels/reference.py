@@ -1,270 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reference path tracer's shading: what happens where a path meets a surface or the world.
+"""The reference path tracer's shading of the hits that need the full node machine.
 
-Unbiased: next-event estimation over all lights with multiple importance sampling (Veach 1997), unlimited bounces
-ended by Russian roulette. The tracer is a wavefront of small kernels with states in arrays (paths.py) between them:
-tracing.py finds hits, layers.py looks through transparent triangles, misses.py adds the world, materials.py runs
-material programs, this file's kernel shades, and shadow_layers.py and shadow_lights.py finish shadow rays. A path
-owns its slot in every array, so any range of paths may run anywhere in any order. The node machine is called once
-in each module that needs it: CUDA's compiler then inlines it, instead of copying the whole Scene for a call.
+The tracer is a wavefront of small kernels with states in arrays (paths.py) between them: tracing.py finds hits,
+layers.py looks through transparent triangles, misses.py adds the world and lamps, reference_lean.py shades most hits,
+materials.py runs the other materials' programs, this file's kernel shades those, and shadow_layers.py and
+shadow_lights.py finish shadow rays. A path owns its slot in every array, so any range of paths may run anywhere in any
+order. The node machine is called once in each module that needs it: CUDA's compiler then inlines it, instead of
+copying the whole Scene for a call.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3, max_component, power_heuristic
-from .intersect import MISS, may_emit, offset_origin, triangle_material
-from .lamp_hit import FAR, lamp_hit
-from .lights import LightSample, emitter_pdf, lamp_chance, sample_light
-from .paths import (
-    ENDED,
-    LONG_PATH,
-    PENDING_NONE,
-    PENDING_TRIANGLE,
-    PENDING_WORLD,
-    Options,
-    Paths,
-    add_light,
-    hit_point,
-    limit_at,
-    survives,
-)
-from .principled import evaluate_bsdf, prepare_bsdf, sample_bsdf
-from .sampling import (
-    DIMENSION_BSDF,
-    DIMENSION_FIRST_BOUNCE,
-    DIMENSION_LIGHT,
-    DIMENSION_LIGHT_CHOICE,
-    DIMENSION_LOBE,
-    DIMENSION_RESAMPLE,
-    DIMENSIONS_PER_BOUNCE,
-    fraction,
-    sample_number,
-    sample_pair,
-)
-from .terminator import smooth_surface_offset
-from .types import (
-    HOLDOUT,
-    LIGHT_ENVIRONMENT,
-    LIGHT_HITTABLE,
-    LIGHT_TRIANGLE,
-    MATERIAL_CONSTANT_EMISSION,
-    VISIBLE_DIFFUSE,
-    VISIBLE_GLOSSY,
-    VISIBLE_TRANSMISSION,
-    Bsdf,
-    BsdfSample,
-    FrameData,
-    Scene,
-    ShadingPoint,
-)
+from .intersect import MISS
+from .path_shading import is_held_out, shade_hit
+from .paths import ENDED, Options, Paths, hit_point
+from .principled import prepare_bsdf
+from .types import FrameData, Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-# Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
-LIGHT_CANDIDATES = wp.constant(2)
-GOLDEN = wp.constant(0.6180340)
-
-
-@wp.func
-def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
-    """Add the lamps that the ray meets before its hit; lamps hide nothing."""
-    origin = paths.origin[path]
-    direction = paths.direction[path]
-    bounce = paths.state[path]
-    pdf = paths.pdf[path]
-    t_max = paths.t[path]
-    if paths.hit[path][0] == MISS:
-        t_max = FAR
-    for i in range(scene.lights.lamp_count):
-        flags = scene.lights.lamps[i].flags
-        visibility = scene.lights.lamps[i].visibility
-        if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
-            hit = lamp_hit(scene.lights.lamps[i], origin, direction, t_max)
-            if hit.t > 0.0:
-                weight = float(1.0)
-                if pdf > 0.0:
-                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
-                light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
-                add_light(paths, path, light, limit_at(options, bounce))
-
-
-@wp.func
-def visible_part(f: wp.vec3, diffuse: wp.vec3, reflected: bool, visibility: int) -> wp.vec3:
-    """Leave out the lobes for which a light is switched off."""
-    part = wp.vec3(0.0, 0.0, 0.0)
-    if (visibility & VISIBLE_DIFFUSE) != 0:
-        part = part + diffuse
-    specular = f - diffuse
-    if reflected and (visibility & VISIBLE_GLOSSY) != 0:
-        part = part + specular
-    if not reflected and (visibility & VISIBLE_TRANSMISSION) != 0:
-        part = part + specular
-    return part
-
-
-@wp.func
-def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths, path: int):
-    """Store the shadow ray of a light sample and what it carries."""
-    side = point.geometric_normal
-    start = point.position + smooth_surface_offset(scene.geometry, point, s.wi)
-    origin = offset_origin(start, side, point.error, s.wi)
-    direction = s.wi
-    distance = s.distance
-    if distance < FAR:
-        # Aim at the sampled point again: the origin has moved.
-        target = offset_origin(point.position + s.wi * s.distance, s.normal, s.error, -s.wi) - origin
-        distance = wp.length(target)
-        if distance > 0.0:
-            direction = target / distance
-    pending = int(PENDING_NONE)
-    carried = light
-    if s.kind == LIGHT_TRIANGLE:
-        material = triangle_material(scene, s.instance, s.triangle)
-        if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
-            carried = wp.cw_mul(light, scene.materials.materials[material].emission)
-        else:
-            pending = PENDING_TRIANGLE
-    if s.kind == LIGHT_ENVIRONMENT:
-        if scene.environment.constant == 1:
-            carried = wp.cw_mul(light, scene.environment.radiance)
-        else:
-            pending = PENDING_WORLD
-    if max_component(carried) > 0.0:
-        paths.shadow_origin[path] = origin
-        paths.shadow_direction[path] = direction
-        paths.shadow_distance[path] = distance
-        if s.shadow == 0:
-            paths.shadow_distance[path] = -distance
-        paths.shadow_light[path] = carried
-        paths.shadow_pending[path] = pending
-        paths.shadow_emitter[path] = wp.vec2i(s.instance, s.triangle)
-        paths.shadow_barycentrics[path] = wp.vec2(s.u, s.v)
-
-
-@wp.func
-def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, emission: wp.vec3, paths: Paths, path: int):
-    """Write the first hit's data for the passes."""
-    instance = scene.geometry.instances[point.instance]
-    axis = -wp.vec3(frame.camera_to_world[0, 2], frame.camera_to_world[1, 2], frame.camera_to_world[2, 2])
-    eye = wp.vec3(frame.camera_to_world[0, 3], frame.camera_to_world[1, 3], frame.camera_to_world[2, 3])
-    depth = wp.dot(point.position - eye, axis)
-    uv = wp.vec2(0.0, 0.0)
-    offset = scene.geometry.uv_offsets[instance.mesh, 0]
-    if offset >= 0:
-        corner = offset + 3 * (point.triangle - instance.triangle_offset)
-        uv = (scene.geometry.uvs[corner] * (1.0 - point.u - point.v) + scene.geometry.uvs[corner + 1] * point.u
-              + scene.geometry.uvs[corner + 2] * point.v)
-    n = point.normal
-    paths.surface_normal[path] = wp.vec4(n[0], n[1], n[2], depth)
-    p = point.position
-    paths.surface_position[path] = wp.vec4(p[0], p[1], p[2], float(instance.pass_index))
-    material = scene.materials.materials[point.material]
-    paths.surface_uv[path] = wp.vec4(uv[0], uv[1], 1.0, float(material.pass_index))
-    paths.surface_emission[path] = emission
-
-
-@wp.func
-def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: wp.vec3, paths: Paths, path: int):
-    """Add what a hit surface emits, weighed against light sampling."""
-    weight = float(1.0)
-    pdf = paths.pdf[path]
-    if pdf > 0.0:
-        light_pdf = emitter_pdf(
-            scene, point.instance, point.triangle, paths.origin[path], paths.side[path], paths.direction[path],
-            point.ray_length)
-        weight = power_heuristic(pdf, light_pdf)
-    add_light(paths, path, wp.cw_mul(paths.throughput[path], emission) * weight, limit_at(options, point.ray_depth))
-
-
-@wp.func
-def front_of(bsdf: Bsdf) -> wp.vec3:
-    """Return the normal of a surface on whose back no light counts, zero for one that lets light through."""
-    if bsdf.pick_glass + bsdf.pick_translucent > 0.0:
-        return wp.vec3(0.0, 0.0, 0.0)
-    return bsdf.geometric_normal
-
-
-@wp.func
-def arriving(scene: Scene, point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
-    """Return what a light sample adds to a path of throughput 1 if nothing is in its way, weighed against the BSDF."""
-    value = evaluate_bsdf(bsdf, point.wo, s.wi)
-    weight = float(1.0)
-    if s.delta == 0:
-        weight = power_heuristic(s.pdf, value.pdf)
-    reflected = wp.dot(point.geometric_normal, s.wi) > 0.0
-    f = visible_part(value.f, value.diffuse, reflected, s.visibility)
-    return wp.cw_mul(f, s.radiance) * (weight / s.pdf)
-
-
-@wp.func
-def sample_direct_light(
-    scene: Scene, point: ShadingPoint, bsdf: Bsdf, refill: float, dimension: int, paths: Paths, path: int,
-):
-    """Draw light samples, keep one by what it would add, and store the shadow ray that decides whether it counts.
-
-    Resampled importance sampling (Talbot, Cline and Egbert 2005): the light that matters here gets the ray, of sun
-    and sky for one. Both techniques' weights are of single samples, so they still sum to one.
-    """
-    seed = paths.seed[path]
-    index = paths.index[path]
-    place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
-    side = front_of(bsdf)
-    throughput = paths.throughput[path]
-    kept = LightSample()
-    kept.kind = -1
-    light = wp.vec3(0.0, 0.0, 0.0)
-    target = float(1.0)
-    total = float(0.0)
-    left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
-    k = int(0)
-    while k < LIGHT_CANDIDATES:
-        step = float(k)
-        s = sample_light(
-            scene, point.position, side,
-            wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
-        if s.kind >= 0:
-            here = wp.cw_mul(throughput, arriving(scene, point, bsdf, s))
-            value = wp.dot(here, scene.luminance) * s.brightness
-            if is_finite3(here) and value > 0.0:
-                total = total + value
-                share = value / total
-                # What is left of a number after each decision is uniform again.
-                if left < share:
-                    left = left / share
-                    kept = s
-                    light = here
-                    target = value
-                else:
-                    left = (left - share) / (1.0 - share)
-        k = k + 1
-    if kept.kind >= 0 and wp.isfinite(total):
-        light = light * (total / (target * float(LIGHT_CANDIDATES)))
-        set_shadow_ray(scene, point, kept, light, paths, path)
-
-
-@wp.func
-def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int):
-    """Set up the next ray, or leave the path ended."""
-    bounce = point.ray_depth
-    weight = sample.weight
-    if not (sample.pdf > 0.0 and is_finite3(weight) and max_component(weight) > 0.0):
-        return
-    if bounce >= LONG_PATH:
-        # Some materials return more than they receive (two BSDFs added); unlimited paths would never converge.
-        weight = weight / wp.max(max_component(weight), 1.0)
-    paths.state[path] = bounce + 1
-    paths.throughput[path] = wp.cw_mul(paths.throughput[path], weight)
-    paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
-    paths.direction[path] = sample.wi
-    paths.t[path] = FAR
-    paths.pdf[path] = wp.where(sample.delta == 1, 0.0, sample.pdf)
-    paths.side[path] = front_of(bsdf)
-    paths.kind[path] = sample.kind
-    # The cone is not widened by the lobe: blurring over it would average in parts of a texture atlas that the
-    # surface does not show, and flatten normal maps.
-    paths.cone[path] = wp.vec2(point.footprint, paths.cone[path][1])
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.kernel
@@ -273,41 +28,25 @@ def shade_paths(
     frames: wp.array[FrameData],
     scene: Scene,
     options: Options,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
 ):
-    """Shade the hits: add what they emit, sample one light, sample the BSDF and set up the next ray."""
-    path = queue[wp.tid()]
-    bounce = paths_out.state[path]
-    if bounce == ENDED:
-        return
-    paths_out.shadow_distance[path] = 0.0
-    if scene.lights.lamp_count > 0:
-        gather_lamps(scene, options, paths_out, path)
-    paths_out.state[path] = ENDED
-    if paths_out.hit[path][0] == MISS:
-        return
-    point = hit_point(scene, paths_out, path, bounce)
-    if bounce == 0 and (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
-        paths_out.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        return
-    seed = paths_out.seed[path]
-    index = paths_out.index[path]
-    dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-    bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
-    if max_component(bsdf.emission) > 0.0:
-        add_emission(scene, options, point, bsdf.emission, paths_out, path)
-    if may_emit(scene, point.material) and not survives(options, paths_out, path, bounce):
-        return
-    if options.passes == 1 and bounce == 0:
-        record_first_hit(scene, frames[0], point, bsdf.emission, paths_out, path)
-    if options.max_bounces > 0 and bounce >= options.max_bounces:
-        return
-    if scene.lights.class_count > 0:
-        refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
-        sample_direct_light(scene, point, bsdf, refill, dimension, paths_out, path)
-    u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
-    choice = sample_number(seed, index, dimension + DIMENSION_LOBE)
-    sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
-    continue_path(point, bsdf, sample, paths_out, path)
+    """Shade listed hits whose closures are known, see path_shading.shade_hit, and list the paths that go on."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        bounce = paths_out.state[path]
+        if bounce != ENDED and paths_out.hit[path][0] != MISS:
+            paths_out.state[path] = ENDED
+            point = hit_point(scene, paths_out, path, bounce)
+            if not is_held_out(scene, point, paths_out, path):
+                bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
+                shade_hit(frames[0], scene, options, point, bsdf, paths_out, path)
+                if paths_out.state[path] != ENDED:
+                    queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -18,8 +18,8 @@ from .hash_grid import NO_CELL, HashGrid
 from .intersect import MISS, surface_point, triangle_material
 from .lights import LightSample, cell_side, sample_light
 from .packing import unpack_normal
+from .path_shading import set_shadow_ray
 from .paths import ENDED, Paths, load_hit
-from .reference import set_shadow_ray
 from .reflection_rays import FOUND_DIRECT, ReflectionRays
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
 from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene

@@ -21,7 +21,7 @@ from .reflection_tail import trace_segment
 from .sampling import sample_pair
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

@@ -29,7 +29,7 @@ from .sampling import sample_pair
 from .specular_lobes import SpecularLobes, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Dimensions of a pixel's random sequences, besides those of rays.
 DIMENSION_LOOK_UP = wp.constant(96)

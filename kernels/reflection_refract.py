@@ -28,7 +28,7 @@ from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_CAMERA, VISIBLE_TRANSMISSION, Scene
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.kernel

@@ -24,7 +24,7 @@ from .reflection_rays import FOUND_CELL, FOUND_DIRECT, FOUND_OWN, ReflectionRays
 from .reflection_types import ReflectionOptions, ReflectionSamples
 from .view import View
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Samples in a cell from which on its mean stands in for a hit's own light.
 CELL_SAMPLES = wp.constant(8.0)

@@ -28,7 +28,7 @@ from .reflection_rays import FOUND_SCREEN, FOUND_WHOLE_HIT, ReflectionRays, gath
 from .types import Scene
 from .view import View, pixel_footprint, project, settling_frames
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Relative difference of depth, least cosine of the normals, and distance from the plane in pixels' widths.
 DEPTH_SLACK = wp.constant(0.01)

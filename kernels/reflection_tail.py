@@ -19,7 +19,7 @@ from .reflection_lean import follow_one
 from .reflection_rays import LEFT, ReflectionRays
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func

@@ -11,7 +11,7 @@ from .intersect import MISS
 from .paths import PENDING_NONE, Options, Paths, add_shadow_light, load_layer
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func
@@ -30,21 +30,25 @@ def weaken_shadow_rays(
     # In:
     scene: Scene,
     options: Options,
-    bounce: int,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
     """Multiply the light by the layers' transparencies; add it where no program of the light is pending."""
-    path = queue[wp.tid()]
-    distance = paths_out.shadow_distance[path]
-    if distance == 0.0 or paths_out.layer[path][0] == MISS:
-        return
-    light = paths_out.shadow_light[path]
-    if distance > 0.0:
-        passed = transmittance(
-            scene, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance,
-            load_layer(paths_out, path), bounce + 1)
-        light = wp.cw_mul(light, passed.weight)
-        paths_out.overruns[path] = paths_out.overruns[path] + passed.overrun
-    add_weakened(options, bounce, paths_out, path, light)
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[path]
+        if distance != 0.0 and paths_out.layer[path][0] != MISS:
+            light = paths_out.shadow_light[path]
+            if distance > 0.0:
+                passed = transmittance(
+                    scene, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance,
+                    load_layer(paths_out, path), bounces[0] + 1)
+                light = wp.cw_mul(light, passed.weight)
+                paths_out.overruns[path] = paths_out.overruns[path] + passed.overrun
+            add_weakened(options, bounces[0], paths_out, path, light)

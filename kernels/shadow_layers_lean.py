@@ -11,7 +11,7 @@ from .paths import Options, Paths, load_layer
 from .shadow_layers import add_weakened
 from .types import Scene
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func
@@ -27,7 +27,7 @@ def weaken_shadow_rays_lean(
     # In:
     scene: Scene,
     options: Options,
-    bounce: int,
+    bounces: wp.array[int],
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
@@ -53,7 +53,7 @@ def weaken_shadow_rays_lean(
             if walk.state == WALK_ON:
                 walk = pass_layer(
                     scene, walk, paths_out.shadow_origin[path], paths_out.shadow_direction[path],
-                    paths_out.shadow_distance[path], bounce + 1)
+                    paths_out.shadow_distance[path], bounces[0] + 1)
             if walk.state != WALK_ON:
-                finish_ray(options, bounce, paths_out, path, walk)
+                finish_ray(options, bounces[0], paths_out, path, walk)
                 path = int(-1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import camera_ray, filter_offset
-from .intersect import MISS, any_hit, closest_filtered_hit, closest_hit
+from .intersect import MISS, Hit, any_hit, closest_filtered_hit, closest_hit
 from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
 from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
 from .types import VISIBLE_CAMERA, FrameData, Scene
@@ -20,6 +20,25 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 # save memory traffic where a texel is far smaller than a pixel, and the less they do the closer is the picture to
 # one of unfiltered look-ups (a footprint of 1 darkened a fine checker by 2 %).
 FOOTPRINT_SCALE = wp.constant(0.125)
+
+
+@wp.func
+def finish_shadow(
+    options: Options, bounces: wp.array[int], paths: Paths, path: int, distance: float, blocked: bool,
+):
+    """End a shadow ray that is blocked; add the light of one that nothing more can stop."""
+    if blocked:
+        paths.shadow_distance[path] = 0.0
+    elif distance != 0.0 and options.filtered == 0 and paths.shadow_pending[path] == PENDING_NONE:
+        add_shadow_light(paths, options, bounces[0], path, paths.shadow_light[path])
+
+
+@wp.func
+def meet_shadow_layer(options: Options, bounces: wp.array[int], paths: Paths, path: int, hit: Hit):
+    """Keep the first triangle that needs a test on a shadow ray; add the light where there is none."""
+    store_layer(paths, path, hit)
+    if hit.instance == MISS and paths.shadow_pending[path] == PENDING_NONE:
+        add_shadow_light(paths, options, bounces[0], path, paths.shadow_light[path])
 
 
 @wp.kernel
@@ -63,32 +82,40 @@ def generate_paths(
 def trace_paths(
     # In:
     scene: Scene,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
     """Find the closest opaque hit of every path in the queue."""
-    path = queue[wp.tid()]
-    if paths_out.state[path] == ENDED:
-        return
-    store_hit(paths_out, path, closest_hit(
-        scene.geometry, paths_out.origin[path], paths_out.direction[path], paths_out.t[path]))
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        if paths_out.state[path] != ENDED:
+            store_hit(paths_out, path, closest_hit(
+                scene.geometry, paths_out.origin[path], paths_out.direction[path], paths_out.t[path]))
+        i = i + stride
 
 
 @wp.kernel
 def trace_layers(
     # In:
     scene: Scene,
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
     """Find the first triangle that needs a test before each path's opaque hit; most have none."""
-    path = queue[wp.tid()]
-    if paths_out.state[path] == ENDED:
-        return
-    store_layer(paths_out, path, closest_filtered_hit(
-        scene.geometry, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path).t))
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        if paths_out.state[path] != ENDED:
+            store_layer(paths_out, path, closest_filtered_hit(
+                scene.geometry, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path).t))
+        i = i + stride
 
 
 @wp.kernel
@@ -96,22 +123,27 @@ def trace_shadows(
     # In:
     scene: Scene,
     options: Options,
-    bounce: int,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Trace the shadow rays against opaque triangles; add the light where no program is needed."""
-    path = queue[wp.tid()]
-    distance = paths_out.shadow_distance[path]
-    if distance == 0.0:
-        return
-    if distance > 0.0:
-        if any_hit(scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance):
-            paths_out.shadow_distance[path] = 0.0
-            return
-    if options.filtered == 0 and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])
+    """Trace the shadow rays against opaque triangles; add the light where no program is needed.
+
+    `bounces`: how many surfaces the paths have met before, one element.
+    """
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[path]
+        blocked = False
+        if distance > 0.0:
+            blocked = any_hit(
+                scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
+        finish_shadow(options, bounces, paths_out, path, distance, blocked)
 
 
 @wp.kernel
@@ -119,18 +151,19 @@ def trace_shadow_layers(
     # In:
     scene: Scene,
     options: Options,
-    bounce: int,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
     """Find the first triangle that needs a test on each shadow ray; add the light where there is none."""
-    path = queue[wp.tid()]
-    distance = paths_out.shadow_distance[path]
-    if distance == 0.0:
-        return
-    hit = closest_filtered_hit(
-        scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
-    store_layer(paths_out, path, hit)
-    if hit.instance == MISS and paths_out.shadow_pending[path] == PENDING_NONE:
-        add_shadow_light(paths_out, options, bounce, path, paths_out.shadow_light[path])
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[path]
+        if distance != 0.0:
+            meet_shadow_layer(options, bounces, paths_out, path, closest_filtered_hit(
+                scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance))

@@ -32,7 +32,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
-from ..shadow_rays import make_options, make_queue, make_shadow_rays
+from ..shadow_rays import make_options, make_queue, make_shadow_rays, one_number
 from ..structures import is_flat
 from ..work_list import make_work_list
 
@@ -162,7 +162,7 @@ class DirectLightPass:
             flat = is_flat(scene)
             trace = flat_tracing.trace_flat_shadows if flat else direct_shadow.trace_direct_shadows
             graph.launch(trace, self.slots, [scene], [self.rays])
-            shadows = [scene, make_options(filtered=filtered), 0]
+            shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
             if filtered:
                 if flat:
                     graph.launch(flat_tracing.trace_flat_shadow_layers, self.slots, shadows, [self.rays])

@@ -15,14 +15,14 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ...kernels import denoise_guides, film, layers, materials, misses, tracing
+from ...kernels import denoise_guides, denoise_guides_lean, film, materials, path_lists, tracing
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from .. import oidn
 from ..device import launch, run_bands
-from ..structures import is_flat
-from .reference import ANY_RAYS, FLAT_RAYS, Band, FilmBuffers, ReferencePass
+from .reference import Band, FilmBuffers, ReferencePass, hit_steps
 from .rest import RestBlend
+from .wavefront import Step, Wavefront
 
 __all__ = ["FinalDenoise"]
 
@@ -46,6 +46,8 @@ class FinalDenoise:
         """Device that filtered the newest picture: "cuda" or "cpu" """
         self._guides: tuple[wp.array, wp.array] | None = None
         self._guide_samples = 0
+        self._options: tuple[Options, Options] | None = None
+        """The path tracer's and those made of them: the same object again, for what is recorded with it"""
         self._blend = RestBlend(device)
 
     def reset(self) -> None:
@@ -67,7 +69,9 @@ class FinalDenoise:
         fewest, most = GUIDE_SAMPLES
         wanted = min(max(2 * samples, fewest), most)
         if self._guides is None or self._guide_samples < wanted:
-            count, options = sum(band.count for band in tracer.bands), without_roulette(options)
+            if self._options is None or self._options[0] is not options:
+                self._options = options, without_roulette(options)
+            count, options = sum(band.count for band in tracer.bands), self._options[1]
             albedo, normal = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
 
             def job(band: Band) -> Callable[[], None]:
@@ -136,7 +140,6 @@ def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarr
                 samples: int, albedo: wp.array, normal: wp.array) -> None:
     """Add the guides of a band's pixels, means of so many samples, in as few batches as there are path states for."""
     done, device = 0, tracer.device
-    trace, trace_layers, *_ = FLAT_RAYS if is_flat(scene) else ANY_RAYS
     slot = tracer.take_slot()
     try:
         while done < samples:
@@ -144,22 +147,24 @@ def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarr
             row = frame.copy()
             row["sample"] = done
             slot.frame.assign(row)
-            queue, living = slot.identity, band.count * count
-            launch(tracing.generate_paths, living, [slot.frame, table, band.first, band.count], [slot.paths], device)
-            for bounce in range(MIRRORS + 1):
-                launch(trace, living, [scene, queue], [slot.paths], device)
-                if options.filtered == 1:
-                    launch(trace_layers, living, [scene, queue], [slot.paths], device)
-                    launch(layers.filter_paths, living, [scene, queue], [slot.paths], device)
-                launch(misses.shade_misses, living, [scene, options, queue], [slot.paths], device)
-                launch(materials.evaluate_materials, living, [scene, queue], [slot.paths], device)
-                launch(denoise_guides.find_surfaces, living, [scene, options.exposure, MIRRORS, queue], [slot.paths],
-                       device)
-                queue, living = tracer.compact(slot, queue, living, bounce)
-                if living == 0:
-                    break
+            total = band.count * count
+            slot.start(tracing.generate_paths, total, [slot.frame, table, band.first, band.count])
+            # After so many rounds no path goes on.
+            slot.loop("guides", (scene, options), lambda: guide_steps(slot, scene, options), total, MIRRORS + 1,
+                      lambda: False)
             launch(denoise_guides.average_guides, band.count,
                    [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], device)
             done += count
     finally:
         tracer.give_slot(slot)
+
+
+def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
+    """Return what follows paths to what they show."""
+    limits = [scene, options.exposure, MIRRORS]
+    steps = [*hit_steps(slot, scene, options), Step(denoise_guides.show_misses, [options.exposure]),
+             Step(denoise_guides_lean.find_lean_surfaces, limits)]
+    if not options.all_lean:
+        steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
+                  Step(denoise_guides.find_surfaces, limits, over="full_hits")]
+    return [*steps, Step(path_lists.list_living, [slot.paths.state], fills="next", changes=False)]

@@ -43,7 +43,7 @@ from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import arrays_of
 from ..settings import CacheKey, CacheSettings
-from ..shadow_rays import make_options, make_queue
+from ..shadow_rays import make_options, make_queue, one_number
 from ..structures import is_flat
 from ..work_list import make_work_list
 from .cache_spreading import record_spreading
@@ -335,7 +335,7 @@ class RadianceCachePass:
             trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
             graph.launch(trace, total, [scene, int(self._layers)], [self.paths])
             if self._layers:
-                shadows = [scene, make_options(filtered=True), 1]
+                shadows = [scene, make_options(filtered=True), one_number(1, self.device)]
                 if flat:
                     graph.launch(flat_tracing.trace_flat_shadow_layers, total, shadows, [self.paths])
                 else:

@@ -10,34 +10,33 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from ...kernels import (
-    compaction,
     film,
     flat_paths,
     layers,
+    layers_lean,
     materials,
     misses,
+    path_lists,
     reference,
+    reference_lean,
     shadow_layers,
+    shadow_layers_lean,
     shadow_lights,
     tracing,
 )
-from ...kernels.paths import ENDED, Options, Paths
-from ...kernels.types import Closure, FrameData, Scene
-from ..device import launch, record, run_bands
+from ...kernels.paths import Options
+from ...kernels.types import Scene
+from ..device import launch, run_bands
 from ..structures import is_flat
+from .wavefront import Step, Wavefront
 
-__all__ = ["ANY_RAYS", "FLAT_RAYS", "Band", "FilmBuffers", "ReferencePass"]
-
-ANY_RAYS = tracing.trace_paths, tracing.trace_layers, tracing.trace_shadows, tracing.trace_shadow_layers
-FLAT_RAYS = (flat_paths.trace_flat_paths, flat_paths.trace_flat_path_layers, flat_paths.trace_flat_path_shadows,
-             flat_paths.trace_flat_path_shadow_layers)
-"""The same where there are no instances"""
+__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
 
 CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
@@ -56,27 +55,6 @@ BOUNCE_STOP = 4096
 
 def _vectors(count: int, dtype: type, device: str) -> wp.array:
     return wp.zeros(count, dtype=dtype, device=device)
-
-
-def make_paths(count: int, passes: bool, device: str) -> Paths:
-    """Allocate the states of `count` paths."""
-    paths = Paths()
-    extra = count if passes else 1
-    for name, dtype in (
-        ("state", int), ("seed", wp.uint32), ("index", wp.uint32), ("origin", wp.vec3), ("direction", wp.vec3),
-        ("t", float), ("hit", wp.vec2i), ("barycentrics", wp.vec2), ("throughput", wp.vec3), ("radiance", wp.vec4),
-        ("pdf", float), ("side", wp.vec3), ("kind", int), ("overruns", int), ("cone", wp.vec2),
-        ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3), ("shadow_distance", float),
-        ("shadow_light", wp.vec3), ("shadow_pending", int), ("shadow_emitter", wp.vec2i),
-        ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i), ("layer_barycentrics", wp.vec2),
-        ("closure", Closure),
-    ):
-        setattr(paths, name, _vectors(count, dtype, device))
-    for name in ("surface_normal", "surface_position", "surface_uv"):
-        setattr(paths, name, _vectors(extra, wp.vec4, device))
-    for name in ("surface_emission", "environment"):
-        setattr(paths, name, _vectors(extra, wp.vec3, device))
-    return paths
 
 
 @dataclass
@@ -125,22 +103,6 @@ class Band:
     samples: int = 0
 
 
-@dataclass
-class _Slot:
-    """What one worker needs to trace paths."""
-
-    paths: Paths
-    identity: wp.array
-    queues: tuple[wp.array, wp.array]
-    counter: wp.array
-    frame: wp.array
-    capacity: int
-    commands: dict[int, list[tuple[wp.Launch, int]]] = field(default_factory=dict)
-    """Recorded launches of one bounce by queue (its address), each with the index of its bounce number or -1"""
-    recorded_for: tuple[Scene, Options] | None = None
-    """What the launches were recorded with; kept, so that no other object takes its identity"""
-
-
 class ReferencePass:
     """Traces samples for a film."""
 
@@ -150,10 +112,8 @@ class ReferencePass:
         self.device = device
         self.cuda = wp.get_device(device).is_cuda
         self.bands: list[Band] = []
-        self.slots: list[_Slot] = []
+        self.slots: list[Wavefront] = []
         self.lock = threading.Lock()
-        self.rays = 0
-        """Rays traced since the last reset (paths entering a trace, shadow rays not counted), CUDA only"""
 
     def resize(self, pixel_count: int, passes: bool) -> None:
         """Cut the picture into bands and allocate path states for them."""
@@ -174,27 +134,28 @@ class ReferencePass:
         """Start counting samples anew."""
         for band in self.bands:
             band.samples = 0
-        self.rays = 0
+        for slot in self.slots:
+            slot.forget_rays()
+
+    @property
+    def rays(self) -> int:
+        """Return how many rays were traced since the last reset, shadow rays not counted. Waits for the device."""
+        with self.lock:
+            return sum(slot.rays for slot in self.slots)
 
     @property
     def samples_done(self) -> int:
         """Return how many samples every pixel has."""
         return min((band.samples for band in self.bands), default=0)
 
-    def take_slot(self) -> _Slot:
+    def take_slot(self) -> Wavefront:
         """Return states for a band's paths that no other thread uses until they are given back."""
         with self.lock:
             if self.slots:
                 return self.slots.pop()
-        identity = wp.array(np.arange(self.capacity, dtype=np.int32), dtype=int, device=self.device)
-        queues = (wp.zeros(self.capacity, dtype=int, device=self.device),
-                  wp.zeros(self.capacity, dtype=int, device=self.device))
-        counter = wp.zeros(1, dtype=int, device=self.device)
-        frame = wp.zeros(1, dtype=FrameData, device=self.device)
-        return _Slot(make_paths(self.capacity, self.passes, self.device), identity, queues, counter, frame,
-                     self.capacity)
+        return Wavefront(self.capacity, self.passes, self.device)
 
-    def give_slot(self, slot: _Slot) -> None:
+    def give_slot(self, slot: Wavefront) -> None:
         """Give back what take_slot() returned."""
         with self.lock:
             self.slots.append(slot)
@@ -247,77 +208,56 @@ class ReferencePass:
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
                 band.samples += count
+            if self.cuda:
+                # Callers time samples, and stop between them.
+                wp.synchronize_stream(self.device)
         finally:
             self.give_slot(slot)
 
     def _trace(
-        self, slot: _Slot, band: Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
+        self, slot: Wavefront, band: Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
         should_stop: Callable[[], bool],
     ) -> bool:
-        paths, total = slot.paths, band.count * count
+        total = band.count * count
         if options.passes == 1:
-            launch(film.clear_surfaces, total, [], [paths], self.device)
-        launch(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count], [paths], self.device)
-        queue, living = slot.identity, total
-        for bounce in range(BOUNCE_STOP):
-            self.rays += living
-            self._bounce(slot, scene, options, queue, living, bounce)
-            if should_stop():
-                return False
-            queue, living = self.compact(slot, queue, living, bounce)
-            if living == 0:
-                break
-        return True
+            slot.start(film.clear_surfaces, total, [])
+        slot.start(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count])
+        return slot.loop(
+            "paths", (scene, options), lambda: path_steps(slot, scene, options), total, BOUNCE_STOP, should_stop)
 
-    def _bounce(
-        self, slot: _Slot, scene: Scene, options: Options, queue: wp.array, living: int, bounce: int,
-    ) -> None:
-        """Trace and shade one segment of every path in the queue.
 
-        Launches are recorded once: packing the scene's struct anew for each would take longer than small kernels do.
-        """
-        if slot.recorded_for is None or slot.recorded_for[0] is not scene or slot.recorded_for[1] is not options:
-            slot.commands, slot.recorded_for = {}, (scene, options)
-        commands = slot.commands.get(queue.ptr)
-        if commands is None:
-            commands = slot.commands[queue.ptr] = self._record(slot, scene, options, queue)
-        for command, bounce_index in commands:
-            command.set_dim(living)
-            if bounce_index >= 0:
-                command.set_param_at_index(bounce_index, bounce)
-            command.launch()
-
-    def _record(
-        self, slot: _Slot, scene: Scene, options: Options, queue: wp.array,
-    ) -> list[tuple[wp.Launch, int]]:
-        """Record the launches of one bounce: the path tracer's table of contents."""
-        rays = [scene, queue]
-        misses_of = [scene, options, queue]
-        shadows = [scene, options, 0, queue]
-        trace, trace_layers, trace_shadows, trace_shadow_layers = FLAT_RAYS if is_flat(scene) else ANY_RAYS
-        steps = [(trace, rays)]
+def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
+    """Return what finds the paths' hits, adds the world and plays roulette, and lists what needs the full machine."""
+    if is_flat(scene):
+        steps = [Step(flat_paths.trace_flat_paths, [scene, options.filtered], fills="layered")]
+    else:
+        steps = [Step(tracing.trace_paths, [scene])]
         if options.filtered == 1:
-            steps += [(trace_layers, rays), (layers.filter_paths, rays)]
-        steps += [
-            (misses.shade_misses, misses_of), (materials.evaluate_materials, rays),
-            (reference.shade_paths, [slot.frame, scene, options, queue]), (trace_shadows, shadows)]
-        if options.filtered == 1:
-            steps += [(trace_shadow_layers, shadows), (shadow_layers.weaken_shadow_rays, shadows)]
-        if options.programs == 1:
-            steps += [(shadow_lights.shade_lights, shadows)]
-        return [
-            (record(kernel, inputs, [slot.paths], self.device), 2 if inputs is shadows else -1)
-            for kernel, inputs in steps]
+            steps += [Step(tracing.trace_layers, [scene]),
+                      Step(path_lists.list_layered, [slot.paths], fills="layered", changes=False)]
+    if options.filtered == 1:
+        steps.append(Step(layers_lean.filter_paths_lean if options.lean_layers else layers.filter_paths, [scene],
+                          over="layered"))
+    return [*steps, Step(misses.shade_misses, [scene, options], fills="full_hits")]
 
-    def compact(self, slot: _Slot, queue: wp.array, living: int, bounce: int) -> tuple[wp.array, int]:
-        """Return the queue of the paths that go on, and their number."""
-        following = slot.queues[bounce % 2]
-        if not self.cuda:
-            # Device arrays on the CPU are NumPy views of the same memory.
-            going_on = queue.numpy()[:living]
-            going_on = going_on[slot.paths.state.numpy()[going_on] != int(ENDED)]
-            following.numpy()[: len(going_on)] = going_on
-            return following, len(going_on)
-        slot.counter.zero_()
-        launch(compaction.append_living, living, [slot.paths.state, queue], [following, slot.counter], self.device)
-        return following, int(slot.counter.numpy()[0])
+
+def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
+    """Return one segment of every path: the path tracer's table of contents."""
+    shadows, shading = [scene, options, slot.rounds], [slot.frame, scene, options]
+    steps = [*hit_steps(slot, scene, options), Step(reference_lean.shade_lean_paths, shading, fills="next")]
+    if not options.all_lean:
+        steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
+                  Step(reference.shade_paths, shading, over="full_hits", fills="next")]
+    if is_flat(scene):
+        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills="layered_shadows"))
+    else:
+        steps.append(Step(tracing.trace_shadows, shadows))
+        if options.filtered == 1:
+            steps += [Step(tracing.trace_shadow_layers, shadows),
+                      Step(path_lists.list_layered_shadows, [slot.paths], fills="layered_shadows", changes=False)]
+    if options.filtered == 1:
+        weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays
+        steps.append(Step(weaken, shadows, over="layered_shadows"))
+    if options.programs == 1:
+        steps.append(Step(shadow_lights.shade_lights, shadows))
+    return steps

@@ -57,7 +57,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..settings import ReflectionResolution, ReflectionSettings
-from ..shadow_rays import make_options, make_queue
+from ..shadow_rays import make_options, make_queue, one_number
 from ..structures import is_flat
 from ..work_list import WorkList, make_work_list
 from .radiance_cache import (
@@ -350,7 +350,7 @@ class ReflectionPass:
             trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
             graph.launch(trace, blocks, [scene, int(what.filtered)], [paths])
             if what.filtered:
-                shadows = [scene, make_options(filtered=True), 1]
+                shadows = [scene, make_options(filtered=True), one_number(1, self.device)]
                 if flat:
                     graph.launch(flat_tracing.trace_flat_shadow_layers, blocks, shadows, [paths])
                 else:

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.passes.reference import FilmBuffers, make_paths
+from burnish.engine.passes.reference import FilmBuffers
 from burnish.engine.passes.rest import RestBlend
+from burnish.engine.passes.wavefront import make_paths
 from burnish.kernels import film as film_kernels
 from burnish.kernels.paths import Options
 

@@ -12,12 +12,12 @@ from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
-from burnish.engine.passes.reference import ANY_RAYS, FLAT_RAYS
-from burnish.engine.shadow_rays import make_options, make_queue
+from burnish.engine.shadow_rays import make_options, make_queue, one_number
 from burnish.engine.structures import is_flat
-from burnish.engine.work_list import LISTED_THREADS, make_work_list
+from burnish.engine.work_list import LISTED_THREADS, ONCE, make_work_list
 from burnish.kernels import (
     compaction,
+    flat_paths,
     flat_tracing,
     layers,
     layers_lean,
@@ -73,6 +73,11 @@ def make_paths(device, distance=9.0):
     return paths
 
 
+def every(queue):
+    """Return what tells kernels to work on all of a queue, a thread for each."""
+    return ONCE, one_number(len(queue), queue.device), queue
+
+
 def values(paths, names):
     """Return copies of arrays."""
     return {name: getattr(paths, name).numpy().copy() for name in names}
@@ -116,10 +121,10 @@ def test_rays_pass_layers_alike(scene, listed):
     device, full, lean = scene.device, make_paths(scene.device), make_paths(scene.device)
     queue = make_queue(COUNT, device)
     for paths in (full, lean):
-        wp.launch(tracing.trace_paths, COUNT, [scene.scene, queue], [paths], device=device, block_dim=64)
-        wp.launch(tracing.trace_layers, COUNT, [scene.scene, queue], [paths], device=device, block_dim=64)
+        wp.launch(tracing.trace_paths, COUNT, [scene.scene, *every(queue)], [paths], device=device, block_dim=64)
+        wp.launch(tracing.trace_layers, COUNT, [scene.scene, *every(queue)], [paths], device=device, block_dim=64)
     met = (full.layer.numpy()[:, 0] != int(MISS)) & (full.state.numpy() >= 0)
-    wp.launch(layers.filter_paths, COUNT, [scene.scene, queue], [full], device=device, block_dim=64)
+    wp.launch(layers.filter_paths, COUNT, [scene.scene, *every(queue)], [full], device=device, block_dim=64)
     found = run_listed(device, compaction.append_layered_paths, [lean, 0], layers_lean.filter_paths_lean,
                        [scene.scene], lean, listed)
     assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
@@ -134,11 +139,11 @@ def test_shadow_rays_pass_layers_alike(scene, listed):
     device, queue, options = scene.device, make_queue(COUNT, scene.device), make_options(filtered=True)
     full, lean = make_paths(device, 2.75), make_paths(device, 2.75)
     for paths in (full, lean):
-        wp.launch(tracing.trace_shadow_layers, COUNT, [scene.scene, options, 1, queue], [paths], device=device,
-                  block_dim=64)
-    before = [scene.scene, options, 1]
+        wp.launch(tracing.trace_shadow_layers, COUNT, [scene.scene, options, one_number(1, device), *every(queue)],
+                  [paths], device=device, block_dim=64)
+    before = [scene.scene, options, one_number(1, device)]
     met = (full.layer.numpy()[:, 0] != int(MISS)) & (full.shadow_distance.numpy() != 0)
-    wp.launch(shadow_layers.weaken_shadow_rays, COUNT, [*before, queue], [full], device=device, block_dim=64)
+    wp.launch(shadow_layers.weaken_shadow_rays, COUNT, [*before, *every(queue)], [full], device=device, block_dim=64)
     found = run_listed(device, compaction.append_layered_shadows, [lean], shadow_layers_lean.weaken_shadow_rays_lean,
                        before, lean, listed)
     assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
@@ -153,8 +158,9 @@ def test_flat_rays_find_the_same(scene):
     both, flat = make_paths(device), make_paths(device)
     all_of = scene.scene
     for kernel, inputs, paths in (
-            (tracing.trace_paths, [all_of, queue], both), (flat_tracing.trace_flat_rays, [0, all_of, 0], flat),
-            (tracing.trace_layers, [all_of, queue], both), (flat_tracing.trace_flat_layers, [0, all_of, 0], flat)):
+            (tracing.trace_paths, [all_of, *every(queue)], both), (flat_tracing.trace_flat_rays, [0, all_of, 0], flat),
+            (tracing.trace_layers, [all_of, *every(queue)], both),
+            (flat_tracing.trace_flat_layers, [0, all_of, 0], flat)):
         wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
     alive = both.state.numpy() >= 0
     one, other = (values(paths, WRITTEN) for paths in (both, flat))
@@ -170,10 +176,10 @@ def test_flat_rays_find_the_same(scene):
         assert_same({name: one[name][queue_of_half] for name in one},
                     {name: other[name][queue_of_half] for name in other})
     for kernel, inputs, paths in (
-            (tracing.trace_shadows, [all_of, options, 1, queue], both),
+            (tracing.trace_shadows, [all_of, options, one_number(1, device), *every(queue)], both),
             (flat_tracing.trace_flat_shadows, [0, all_of], flat),
-            (tracing.trace_shadow_layers, [all_of, options, 1, queue], both),
-            (flat_tracing.trace_flat_shadow_layers, [0, all_of, options, 1], flat)):
+            (tracing.trace_shadow_layers, [all_of, options, one_number(1, device), *every(queue)], both),
+            (flat_tracing.trace_flat_shadow_layers, [0, all_of, options, one_number(1, device)], flat)):
         wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
     assert_same(values(both, LIT), values(flat, LIT))
     assert (both.shadow_distance.numpy() == 0).mean() > 0.3
@@ -181,12 +187,22 @@ def test_flat_rays_find_the_same(scene):
 
 def test_flat_paths_find_the_same(scene):
     """Trace paths in a flat scene with the kernels that know no second level as with those that do."""
-    device, queue, options = scene.device, make_queue(COUNT, scene.device), make_options(filtered=True)
-    rays, shadows = [scene.scene, queue], [scene.scene, options, 1, queue]
-    both, flat = make_paths(device), make_paths(device)
-    for kernels, paths in ((ANY_RAYS, both), (FLAT_RAYS, flat)):
-        for kernel, inputs in zip(kernels, (rays, rays, shadows, shadows), strict=True):
-            wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
+    device, options = scene.device, make_options(filtered=True)
+    queue = every(make_queue(COUNT, device))
+    shadows = [scene.scene, options, one_number(1, device), *queue]
+    both, flat, work = make_paths(device), make_paths(device), make_work_list(COUNT, device)
+    for kernel, inputs in ((tracing.trace_paths, [scene.scene, *queue]), (tracing.trace_layers, [scene.scene, *queue]),
+                           (tracing.trace_shadows, shadows), (tracing.trace_shadow_layers, shadows)):
+        wp.launch(kernel, COUNT, inputs, [both], device=device, block_dim=64)
+    for kernel, inputs, standing in ((flat_paths.trace_flat_paths, [scene.scene, 1, *queue], "state"),
+                                     (flat_paths.trace_flat_path_shadows, shadows, "shadow_distance")):
+        work.count.zero_()
+        wp.launch(kernel, COUNT, inputs, [flat, work.queue, work.count], device=device, block_dim=64)
+        alive = getattr(flat, standing).numpy()
+        alive = alive >= 0 if standing == "state" else alive != 0
+        met = flat.layer.numpy()[:, 0] != int(MISS)
+        listed = np.sort(work.queue.numpy()[: int(work.count.numpy()[0])])
+        assert 0.1 < met.mean() and (listed == np.flatnonzero(met & alive)).all()
     assert 0.1 < (both.hit.numpy()[both.state.numpy() >= 0, 0] >= 0).mean() < 0.9
     assert_same(values(both, WRITTEN), values(flat, WRITTEN))
     assert_same(values(both, LIT), values(flat, LIT))

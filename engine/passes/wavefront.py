@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rounds of the path tracer's kernels over a batch of paths, until none lives.
+
+A round is a list of steps, each a kernel over one of the lists of kernels/path_lists.py. On CUDA two rounds are the
+body of a loop in a graph that runs without the host: the number of living paths stays on the device, every launch has
+the same size, and threads take further elements of their list. Small batches would wait for launches and counts
+otherwise: a path in a white room lives for dozens of rounds. On the processor a round's launches are as large as its
+list, on the calling thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels import path_lists
+from ...kernels.paths import Paths
+from ...kernels.types import Closure, FrameData
+from ..device import launch, record
+from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE
+
+__all__ = ["Step", "Wavefront", "make_paths"]
+
+LISTS = {"full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
+         "layered_shadows": path_lists.LAYERED_SHADOWS}
+"""Beside "living", the list of each round"""
+
+
+@dataclass
+class Step:
+    """One kernel of a round; its last inputs are the number of threads, the list's length and the list."""
+
+    kernel: wp.Kernel
+    inputs: list
+    over: str = "living"
+    """List of the paths it works on"""
+    fills: str = ""
+    """List that it adds to; "next": the paths of the next round"""
+    changes: bool = True
+    """Whether it changes the paths: they come before the list then, among its outputs"""
+
+
+def make_paths(count: int, passes: bool, device: str) -> Paths:
+    """Allocate the states of `count` paths."""
+    paths = Paths()
+    extra = count if passes else 1
+    for name, dtype in (
+        ("state", int), ("seed", wp.uint32), ("index", wp.uint32), ("origin", wp.vec3), ("direction", wp.vec3),
+        ("t", float), ("hit", wp.vec2i), ("barycentrics", wp.vec2), ("throughput", wp.vec3), ("radiance", wp.vec4),
+        ("pdf", float), ("side", wp.vec3), ("kind", int), ("overruns", int), ("cone", wp.vec2),
+        ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3), ("shadow_distance", float),
+        ("shadow_light", wp.vec3), ("shadow_pending", int), ("shadow_emitter", wp.vec2i),
+        ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i), ("layer_barycentrics", wp.vec2),
+        ("closure", Closure),
+    ):
+        setattr(paths, name, wp.zeros(count, dtype=dtype, device=device))
+    for name in ("surface_normal", "surface_position", "surface_uv"):
+        setattr(paths, name, wp.zeros(extra, dtype=wp.vec4, device=device))
+    for name in ("surface_emission", "environment"):
+        setattr(paths, name, wp.zeros(extra, dtype=wp.vec3, device=device))
+    return paths
+
+
+class Wavefront:
+    """States of a batch of paths and the loops that move them on; one thread at a time may use it."""
+
+    def __init__(self, capacity: int, passes: bool, device: str):
+        self.device = device
+        self.cuda = wp.get_device(device).is_cuda
+        self.capacity = capacity
+        self.paths = make_paths(capacity, passes, device)
+        self.frame = wp.zeros(1, dtype=FrameData, device=device)
+        self.rounds = wp.zeros(1, dtype=int, device=device)
+        """Surfaces that the paths have met before this round's"""
+        self._rays = wp.zeros(1, dtype=wp.int64, device=device)
+        self._all = wp.array(np.arange(capacity, dtype=np.int32), dtype=int, device=device)
+        self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
+        self._queues: dict[int, wp.array] = {}
+        self._records: dict[str, tuple[tuple, tuple[list[wp.Launch], ...]]] = {}
+        self._graphs: dict[str, wp.Graph] = {}
+
+    @property
+    def rays(self) -> int:
+        """Return how many rays the loops have begun with, shadow rays not counted. Waits for the device."""
+        return int(self._rays.numpy()[0])
+
+    def forget_rays(self) -> None:
+        """Count rays anew."""
+        self._rays.zero_()
+
+    def loop(
+        self, name: str, made_for: tuple, steps: Callable[[], list[Step]], total: int, limit: int,
+        should_stop: Callable[[], bool],
+    ) -> bool:
+        """Run rounds over the first `total` paths until none lives; return whether it came to the end.
+
+        Args:
+            name: Of the loop: its launches are kept under it.
+            made_for: What they depend on, by identity.
+            steps: Returns a round's; one of them fills "next".
+            total: How many paths there are.
+            limit: Rounds at most.
+            should_stop: Asked between rounds on the processor; a loop on CUDA takes milliseconds and is not stopped.
+        """
+        kept = self._records.get(name)
+        if kept is None or len(kept[0]) != len(made_for) or any(
+                a is not b for a, b in zip(kept[0], made_for, strict=True)):
+            kept = self._records[name] = made_for, tuple(self._record(steps(), half, limit) for half in (0, 1))
+            self._graphs.pop(name, None)
+        wp.copy(self._queue(0), self._all, count=total)
+        self.rounds.fill_(-1)
+        self._counts.fill_(total)
+        if self.cuda:
+            self._run_graph(name, kept[1])
+            return True
+        living, half = total, 0
+        while living:
+            begin, *steps = kept[1][half]
+            begin.launch()
+            for command in steps:
+                command.set_dim(living)
+                command.launch()
+            if should_stop():
+                return False
+            half = 1 - half
+            living = int(self._counts.numpy()[half])
+        return True
+
+    def _run_graph(self, name: str, halves: tuple[list[wp.Launch], ...]) -> None:
+        """Run the loop, captured when it is first asked for; where drivers know no loops, round by round."""
+        living = self._counts[0:1]
+
+        def body() -> None:
+            for commands in halves:
+                for command in commands:
+                    command.launch()
+
+        graph, looped = self._graphs.get(name), wp.is_conditional_graph_supported()
+        if graph is None:
+            with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+                if looped:
+                    wp.capture_while(living, body)
+                else:
+                    body()
+            graph = self._graphs[name] = capture.graph
+        if looped:
+            wp.capture_launch(graph)
+        else:
+            wp.capture_while(living, graph)
+
+    def _queue(self, place: int) -> wp.array:
+        """Return the paths of a list; room for those that a scene doesn't need is not made."""
+        if place not in self._queues:
+            self._queues[place] = wp.zeros(self.capacity, dtype=int, device=self.device)
+        return self._queues[place]
+
+    def _record(self, steps: list[Step], half: int, limit: int) -> list[wp.Launch]:
+        """Record a round whose living paths are in list `half`; those that go on come into the other."""
+        places = LISTS | {"living": path_lists.LIVING + half, "next": path_lists.LIVING + 1 - half}
+        begin = record(
+            path_lists.start_round, [half, limit], [self._counts, self.rounds, self._rays], self.device)
+        commands = [begin]
+        for step in steps:
+            work = int(places[step.over])
+            threads = ONCE
+            if self.cuda:
+                threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
+            outputs = [self.paths] if step.changes else []
+            if step.fills:
+                filled = int(places[step.fills])
+                outputs += [self._queue(filled), self._counts[filled : filled + 1]]
+            commands.append(record(
+                step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
+                self.device, threads if self.cuda else 1))
+        return commands
+
+    def start(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
+        """Launch a kernel that starts `count` paths."""
+        launch(kernel, count, inputs, [self.paths], self.device)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's lists: which paths live, and which of them need a kernel that few do.
+
+Each kernel works on listed paths and appends to a list; the numbers of paths are on the device, so that a loop over
+bounces needs no answer from it. Within a list the order does not matter to any picture. One launch a list: atomics.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .intersect import MISS
+from .paths import ENDED, Paths
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Lists, by their place among the counts. Living paths take turns in two.
+LIVING = wp.constant(0)
+FULL_HITS = wp.constant(2)
+LAYERED = wp.constant(3)
+LAYERED_SHADOWS = wp.constant(4)
+LIST_COUNT = wp.constant(5)
+
+
+@wp.kernel
+def start_round(
+    # In:
+    source: int,
+    limit: int,
+    # Out:
+    counts_out: wp.array[int],
+    rounds_out: wp.array[int],
+    rays_out: wp.array[wp.int64],
+):
+    """Empty all lists but that of the living paths, number `source`; after `limit` rounds that too."""
+    rounds = rounds_out[0] + 1
+    rounds_out[0] = rounds
+    if rounds >= limit:
+        counts_out[source] = 0
+    rays_out[0] = rays_out[0] + wp.int64(counts_out[source])
+    for i in range(LIST_COUNT):
+        if i != source:
+            counts_out[i] = 0
+
+
+@wp.kernel
+def list_living(
+    # In:
+    state: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """List the paths that go on."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if state[path] != ENDED:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def list_layered(
+    # In:
+    paths: Paths,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """List the paths that a triangle that needs a test stands in the way of."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if paths.state[path] != ENDED and paths.layer[path][0] != MISS:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def list_layered_shadows(
+    # In:
+    paths: Paths,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """List the paths whose shadow rays a triangle that needs a test stands in the way of."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = path

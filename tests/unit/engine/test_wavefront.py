@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rounds of the path tracer: the lean and the full machine shade alike, lists are worked off whole, loops end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine.device import choose_device, record
+from burnish.engine.passes import wavefront
+from burnish.engine.passes.wavefront import Step, Wavefront
+from burnish.engine.session import Session
+from burnish.kernels import path_lists
+from burnish.kernels.paths import ENDED, Paths
+
+from tests import scenes
+from tests.unit.engine.test_lean import coated, lean_materials, row_of_balls, use_full_machine
+
+SIZE = (40, 16)
+
+
+def rendered(change=lambda scene: None, samples=3):
+    """Render balls of all materials by path tracing; return the picture and the number of rays."""
+    session = Session(scenes.SETTINGS)
+    session.update(row_of_balls(lean_materials() | {"coated": coated()}))
+    change(session._scene)
+    session.configure(scenes.SETTINGS, scenes.camera_above(half=3.5), *SIZE)
+    session.step(samples)
+    return session.read()[..., :3], session.rays
+
+
+def test_both_machines_shade_alike():
+    """Trace the same paths whether the lean machine takes most hits or the full one takes all."""
+    (lean, rays), (full, full_rays) = rendered(), rendered(use_full_machine)
+    assert lean.mean() > 0.1 and rays > SIZE[0] * SIZE[1] * 3
+    exact = choose_device(scenes.SETTINGS.device) == "cpu"
+    assert np.isclose(rays, full_rays, rtol=0 if exact else 1e-3)
+    assert np.allclose(lean, full, rtol=0 if exact else 1e-2, atol=0 if exact else 1e-3)
+
+
+def test_few_threads_work_off_long_lists(monkeypatch):
+    """Trace the same paths where threads take many elements of each list, as on CUDA."""
+    expected, rays = rendered()
+
+    def strided(kernel, inputs, outputs, device, count=1):
+        """Launch five threads for what is launched with one an element."""
+        if wavefront.ONCE not in inputs:
+            return record(kernel, inputs, outputs, device, count)
+        command = record(kernel, [5 if value is wavefront.ONCE else value for value in inputs], outputs, device, 5)
+        command.set_dim = lambda dim: None
+        return command
+
+    if choose_device(scenes.SETTINGS.device) != "cpu":
+        pytest.skip("there all lists are worked off so")
+    monkeypatch.setattr(wavefront, "record", strided)
+    found, found_rays = rendered()
+    assert found_rays == rays and np.array_equal(found, expected)
+
+
+@wp.kernel
+def live_on(
+    # In:
+    limits: wp.array[int],
+    rounds: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """End each path after so many rounds of its own."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        paths_out.state[path] = wp.where(rounds[0] >= limits[path], ENDED, rounds[0] + 1)
+
+
+@pytest.mark.parametrize("limit", [4, 100])
+def test_loops_end(limit):
+    """Run rounds until no path lives, or as many as are allowed, with the same launches again and again."""
+    device, count = choose_device(scenes.SETTINGS.device), 50
+    front = Wavefront(64, False, device)
+    limits = wp.array(np.arange(64, dtype=np.int32) % 8, dtype=int, device=device)
+
+    def steps():
+        return [Step(live_on, [limits, front.rounds]),
+                Step(path_lists.list_living, [front.paths.state], fills="next", changes=False)]
+
+    for _ in range(2):
+        front.forget_rays()
+        front.paths.state.zero_()
+        assert front.loop("test", (limits,), steps, count, limit, lambda: False)
+        assert front.rays == np.minimum(np.arange(count) % 8 + 1, limit).sum()
+    assert device != "cpu" or not front.loop("test", (limits,), steps, count, limit, lambda: True)
