@@ -11,6 +11,7 @@ import warp as wp
 
 from .intersect import MISS
 from .paths import ENDED, Paths
+from .pixel_order import place_in_blocks
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -41,6 +42,20 @@ def start_round(
     for i in range(LIST_COUNT):
         if i != source:
             counts_out[i] = 0
+
+
+@wp.kernel
+def list_all(
+    # In:
+    width: int,
+    pixel_count: int,
+    # Out:
+    queue_out: wp.array[int],
+):
+    """List paths of a pixel_count's samples one after the other, the pixels in blocks: warps of near pixels."""
+    i = wp.tid()
+    pixel = i % pixel_count
+    queue_out[i] = i - pixel + place_in_blocks(pixel, width, pixel_count)
 
 
 @wp.kernel

@@ -13,6 +13,21 @@ PIXEL_BLOCK = wp.constant(8)
 
 
 @wp.func
+def place_in_blocks(index: int, width: int, count: int) -> int:
+    """Return the pixel of thread `index` of as many threads as pixels: `count` of them in whole rows of `width`.
+
+    Blocks of the last column and row are narrower.
+    """
+    strip = index // (PIXEL_BLOCK * width)
+    rows = wp.min(count // width - strip * PIXEL_BLOCK, PIXEL_BLOCK)
+    left = index - strip * PIXEL_BLOCK * width
+    column = left // (PIXEL_BLOCK * rows)
+    columns = wp.min(width - column * PIXEL_BLOCK, PIXEL_BLOCK)
+    left = left - column * PIXEL_BLOCK * rows
+    return (strip * PIXEL_BLOCK + left // columns) * width + column * PIXEL_BLOCK + left % columns
+
+
+@wp.func
 def pixel_in_blocks(index: int, width: int, height: int) -> int:
     """Return the pixel of a thread, -1 for those of the last column's and row's blocks that lie off the picture."""
     columns = (width + PIXEL_BLOCK - 1) // PIXEL_BLOCK

@@ -151,7 +151,7 @@ def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarr
             slot.start(tracing.generate_paths, total, [slot.frame, table, band.first, band.count])
             # After so many rounds no path goes on.
             slot.loop("guides", (scene, options), lambda: guide_steps(slot, scene, options), total, MIRRORS + 1,
-                      lambda: False)
+                      lambda: False, (row["crop_width"].item(), band.count))
             launch(denoise_guides.average_guides, band.count,
                    [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], device)
             done += count

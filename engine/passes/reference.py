@@ -203,7 +203,7 @@ class ReferencePass:
             row = frame.copy()
             row["sample"] = band.samples
             slot.frame.assign(row)
-            if self._trace(slot, band, count, scene, options, filter_table, should_stop):
+            if self._trace(slot, band, row["crop_width"].item(), count, scene, options, filter_table, should_stop):
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
@@ -215,15 +215,16 @@ class ReferencePass:
             self.give_slot(slot)
 
     def _trace(
-        self, slot: Wavefront, band: Band, count: int, scene: Scene, options: Options, filter_table: wp.array,
-        should_stop: Callable[[], bool],
+        self, slot: Wavefront, band: Band, width: int, count: int, scene: Scene, options: Options,
+        filter_table: wp.array, should_stop: Callable[[], bool],
     ) -> bool:
         total = band.count * count
         if options.passes == 1:
             slot.start(film.clear_surfaces, total, [])
         slot.start(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count])
         return slot.loop(
-            "paths", (scene, options), lambda: path_steps(slot, scene, options), total, BOUNCE_STOP, should_stop)
+            "paths", (scene, options), lambda: path_steps(slot, scene, options), total, BOUNCE_STOP, should_stop,
+            (width, band.count))
 
 
 def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:

@@ -93,7 +93,7 @@ class Wavefront:
 
     def loop(
         self, name: str, made_for: tuple, steps: Callable[[], list[Step]], total: int, limit: int,
-        should_stop: Callable[[], bool],
+        should_stop: Callable[[], bool], pixels: tuple[int, int] = (0, 0),
     ) -> bool:
         """Run rounds over the first `total` paths until none lives; return whether it came to the end.
 
@@ -104,13 +104,19 @@ class Wavefront:
             total: How many paths there are.
             limit: Rounds at most.
             should_stop: Asked between rounds on the processor; a loop on CUDA takes milliseconds and is not stopped.
+            pixels: Width of a row and number of pixels, each of which has a path, then one of a further sample, ...
+                Where they are whole rows, threads of a warp take pixels that lie close together.
         """
         kept = self._records.get(name)
         if kept is None or len(kept[0]) != len(made_for) or any(
                 a is not b for a, b in zip(kept[0], made_for, strict=True)):
             kept = self._records[name] = made_for, tuple(self._record(steps(), half, limit) for half in (0, 1))
             self._graphs.pop(name, None)
-        wp.copy(self._queue(0), self._all, count=total)
+        width, count = pixels
+        if self.cuda and width and count % width == 0:
+            launch(path_lists.list_all, total, [width, count], [self._queue(0)], self.device)
+        else:
+            wp.copy(self._queue(0), self._all, count=total)
         self.rounds.fill_(-1)
         self._counts.fill_(total)
         if self.cuda:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import choose_device, record
+from burnish.engine.device import choose_device, launch, record
 from burnish.engine.passes import wavefront
 from burnish.engine.passes.wavefront import Step, Wavefront
 from burnish.engine.session import Session
@@ -55,6 +55,19 @@ def test_few_threads_work_off_long_lists(monkeypatch):
     monkeypatch.setattr(wavefront, "record", strided)
     found, found_rays = rendered()
     assert found_rays == rays and np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("width", "height", "samples"), [(24, 16, 1), (13, 9, 2), (7, 3, 1), (8, 20, 3), (1, 5, 1)])
+def test_every_path_is_listed_once(width, height, samples):
+    """List all paths, the first 64 of a wide picture in a square of 8 x 8."""
+    device, pixels = choose_device(scenes.SETTINGS.device), width * height
+    queue = wp.zeros(pixels * samples, dtype=int, device=device)
+    launch(path_lists.list_all, len(queue), [width, pixels], [queue], device)
+    listed = queue.numpy()
+    assert (np.sort(listed) == np.arange(len(queue))).all()
+    assert (np.sort(listed[:pixels]) == np.arange(pixels)).all()
+    if width >= 8 and height >= 8:
+        assert (listed[:64] % width < 8).all() and (listed[:64] // width < 8).all()
 
 
 @wp.kernel
