@@ -28,6 +28,7 @@ from ..kernels import (
     composite_debug,
     denoise_debug,
     denoise_guides,
+    denoise_guides_lean,
     diffuse_blur,
     diffuse_temporal,
     direct_atrous,
@@ -43,6 +44,10 @@ from ..kernels import (
     flat_paths,
     flat_tracing,
     flatten,
+    gather_blend,
+    gather_further,
+    gather_start,
+    gather_temporal,
     gbuffer_debug,
     gbuffer_layers,
     gbuffer_layers_lean,
@@ -54,7 +59,9 @@ from ..kernels import (
     lobe_moments,
     materials,
     misses,
+    path_lists,
     probe_blend,
+    probe_contact,
     probe_debug,
     probe_gather,
     probe_interpolate,
@@ -65,6 +72,7 @@ from ..kernels import (
     probe_sample,
     probe_spawn,
     reference,
+    reference_lean,
     reflection_atrous,
     reflection_blocks,
     reflection_choice,
@@ -99,21 +107,21 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, tracing, flat_tracing, flat_paths, flatten, cluster_tree,
-    wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim,
-    cache_debug, cache_lights, cache_rays, cache_shade, cache_spread, composite, composite_debug, denoise_debug,
-    diffuse_blur,
-    diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters, direct_shadow, direct_temporal,
-    gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather, probe_interpolate, probe_light, probe_map,
-    probe_place, probe_records, probe_sample, probe_spawn, reproject, rest_blend, environment, misses, layers,
-    shadow_layers, shadow_lights, materials, reference, cache_lean, cache_materials, cache_programs, direct_shade,
-    gbuffer_layers, gbuffer_layers_lean, gbuffer_lean, gbuffer_materials, layers_lean, shadow_layers_lean,
-    reflection_place, reflection_choice, reflection_debug, reflection_filter_debug, reflection_trace, reflection_lamps,
-    reflection_screen, reflection_resolve, reflection_start, reflection_probes, reflection_blocks, reflection_cleanup,
-    reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean, reflection_refract,
-    reflection_tail, reflection_materials, denoise_guides,
+    film, display, compaction, path_lists, tracing, flat_tracing, flat_paths, flatten, cluster_tree, wide_bvh_build,
+    wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim, cache_debug, cache_lights, cache_rays,
+    cache_shade, cache_spread, composite, composite_debug, denoise_debug, gather_blend, gather_temporal,
+    probe_contact, diffuse_blur, diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters,
+    direct_shadow, direct_temporal, gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather,
+    probe_interpolate, probe_light, probe_map, probe_place, probe_records, probe_sample, probe_spawn, reproject,
+    rest_blend, environment, misses, layers, shadow_layers, shadow_lights, materials, reference, cache_lean,
+    cache_materials, cache_programs, direct_shade, gbuffer_layers, gbuffer_layers_lean, gbuffer_lean,
+    gbuffer_materials, layers_lean, shadow_layers_lean, reflection_place, reflection_choice, reflection_debug,
+    reflection_filter_debug, reflection_trace, reflection_lamps, reflection_screen, reflection_resolve,
+    reflection_start, reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale,
+    reflection_temporal, reflection_lean, reflection_refract, gather_start, gather_further, reflection_tail,
+    reflection_materials, denoise_guides, denoise_guides_lean, reference_lean,
 )
-"""Modules that own kernels, the quickest to build first."""
+"""Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 
 _lock = threading.Lock()
 _ready: set[str] = set()
@@ -142,8 +150,9 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
                 _load(name, device)
         else:
             with ThreadPoolExecutor(thread_count()) as pool:
-                loads = {pool.submit(_load, name, device): name for name in names}
-                _tell(progress, names[0], 1)
+                # The longest first: none is left for the end then, when threads have nothing else to do.
+                loads = {pool.submit(_load, name, device): name for name in reversed(names)}
+                _tell(progress, names[-1], 1)
                 for number, load in enumerate(as_completed(loads), 1):
                     _tell(progress, loads[load], number)
                     load.result()
