@@ -23,6 +23,7 @@ from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_graph import FrameGraph
 from .motion import MotionTracker
+from .passes.cache_spreading import light_sweeps
 from .passes.composite import CompositePass
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
@@ -58,7 +59,7 @@ class Pipeline:
         self._parity = 0
         self._graph: FrameGraph | None = None
         self._settings: RenderSettings | None = None
-        self._graphs: dict[tuple[int, bool], tuple[FrameGraph, wp.array, list]] = {}
+        self._graphs: dict[tuple[int, bool, bool], tuple[FrameGraph, wp.array, list]] = {}
         self._recorded_for = b""
         self._picture: wp.array | None = None
         self._split_for = None
@@ -136,8 +137,10 @@ class Pipeline:
         recorded_for = self._fingerprint(scene, motion)
         if recorded_for != self._recorded_for:
             self._graphs, self._recorded_for = {}, recorded_for
-        # What only frames at rest need costs the others nothing: they are records of their own.
-        key = views.parity, self._settings.denoiser.rest_gather and views.rest > 0
+        # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
+        # of their own.
+        key = (views.parity, self._settings.denoiser.rest_gather and views.rest > 0,
+               light_sweeps(views.frame, views.light_age))
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
         graph, self._picture, self._recorded = self._graphs[key]
@@ -253,9 +256,12 @@ class Pipeline:
                 graph.skip(name, reason)
 
     def _record(
-        self, parity: int, resting: bool, scene: DeviceScene, views: wp.array, motion: Motion,
+        self, parity: int, resting: bool, sweeping: bool, scene: DeviceScene, views: wp.array, motion: Motion,
     ) -> tuple[FrameGraph, wp.array, list]:
-        """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
+        """Record a frame: the method in its order.
+
+        With `resting` pixels gather indirect light themselves, with `sweeping` it goes on from cell to cell at once.
+        """
         self._recorded = []
         self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
         graph, kernels_scene = FrameGraph(self.device), scene.scene
@@ -288,7 +294,7 @@ class Pipeline:
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
             filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency,
-            world=scene.world_texels, started=True, after=branches)
+            world=scene.world_texels, started=True, after=branches, sweeping=sweeping)
         indirect = self.probes.record_light(
             graph, parity, kernels_scene, views, surfaces, color, reprojection)
         filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}

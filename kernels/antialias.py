@@ -14,8 +14,9 @@ from __future__ import annotations
 import warp as wp
 
 from .packed_halves import unpack_halves
-from .packing import unpack_floats
 from .view import View, settled_length
+from .wide_loads import load_vec4, load_view
+from .wide_stores import store_vec4
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -42,8 +43,6 @@ LANCZOS_CURVATURE = wp.constant(1.8277045)
 SAMPLES_MAX = wp.constant(65535.0)
 
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
-ColorWords = wp.types.vector(length=2, dtype=wp.uint64)
-"""A vec4, as which it is loaded in two steps instead of four"""
 
 
 @wp.struct
@@ -88,52 +87,47 @@ def luma(c: wp.vec4) -> float:
 
 
 @wp.func
-def kernel_weight(x: float) -> float:
-    """Return the resampling kernel's weight at a distance [px]."""
-    d = wp.abs(x)
-    cubic = float(0.0)
-    if d < 1.0:
-        cubic = (1.5 * d - 2.5) * d * d + 1.0
-    elif d < 2.0:
-        cubic = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
-    lanczos = 1.0 - LANCZOS_CURVATURE * d * d
-    if d > SERIES_REACH:
-        y = 3.14159265 * d
-        lanczos = wp.where(d < 3.0, 3.0 * wp.sin(y) * wp.sin(y / 3.0) / (y * y), 0.0)
-    return wp.lerp(cubic, lanczos, LANCZOS_SHARE)
+def near_lanczos(d: float, quotient: float) -> float:
+    """Return Lanczos-3 at a distance d <= 1 [px]: the quotient of the sines, or where that errs its series."""
+    return wp.where(d > SERIES_REACH, quotient, 1.0 - LANCZOS_CURVATURE * d * d)
 
 
 @wp.func
 def kernel_weights(t: float) -> vec6:
-    """Return the weights of six taps at -2..3, for a position t in 0..1 past tap 0; they sum to 1."""
+    """Return the weights of six taps at -2..3, for a position t in 0..1 past tap 0; they sum to 1.
+
+    Distances are t + n and n - t, so the sines of Lanczos-3 are those of three angles, and of one but for the sign.
+    """
+    s = 1.0 - t
+    third = 3.14159265 / 3.0
+    below = wp.sin(third * t)
+    above = wp.sin(third * s)
+    between = wp.sin(third * (1.0 + t))
+    # 3 / pi^2, and the shorter way to a tap: there the sine has most digits.
+    scale = 0.303963551 * wp.sin(3.14159265 * wp.min(t, s))
+    p = 1.0 + t
+    q = 1.0 + s
     w = vec6()
-    total = float(0.0)
-    for i in range(6):
-        w[i] = kernel_weight(float(i - 2) - t)
-        total += w[i]
-    return w / total
+    w[0] = LANCZOS_SHARE * (scale * above / ((2.0 + t) * (2.0 + t)))
+    w[1] = wp.lerp(((-0.5 * p + 2.5) * p - 4.0) * p + 2.0, -scale * between / (p * p), LANCZOS_SHARE)
+    w[2] = wp.lerp((1.5 * t - 2.5) * t * t + 1.0, near_lanczos(t, scale * below / (t * t)), LANCZOS_SHARE)
+    w[3] = wp.lerp((1.5 * s - 2.5) * s * s + 1.0, near_lanczos(s, scale * above / (s * s)), LANCZOS_SHARE)
+    w[4] = wp.lerp(((-0.5 * q + 2.5) * q - 4.0) * q + 2.0, -scale * between / (q * q), LANCZOS_SHARE)
+    w[5] = LANCZOS_SHARE * (scale * below / ((2.0 + s) * (2.0 + s)))
+    return w * (1.0 / (w[0] + w[1] + w[2] + w[3] + w[4] + w[5]))
 
 
 @wp.func
-def load_color(image: wp.array[ColorWords], pixel: int) -> wp.vec4:
-    """Return a colour."""
-    words = image[pixel]
-    a = unpack_floats(words[0])
-    b = unpack_floats(words[1])
-    return wp.vec4(a[0], a[1], b[0], b[1])
-
-
-@wp.func
-def resample_row(image: wp.array[ColorWords], row: int, x: int, last: int, w: vec6) -> wp.vec4:
+def resample_row(image: wp.array[wp.vec4], row: int, x: int, last: int, w: vec6) -> wp.vec4:
     """Return the weighted sum of six pixels of a row, x - 2 .. x + 3; the edge pixel repeats."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for i in range(6):
-        total += load_color(image, row + wp.clamp(x + i - 2, 0, last)) * w[i]
+        total += load_vec4(image, row + wp.clamp(x + i - 2, 0, last)) * w[i]
     return total
 
 
 @wp.func
-def resample(image: wp.array[ColorWords], position: wp.vec2, width: int, height: int) -> wp.vec4:
+def resample(image: wp.array[wp.vec4], position: wp.vec2, width: int, height: int) -> wp.vec4:
     """Return the image at a position [px]; the 28 taps that matter of 6x6."""
     px = position[0] - 0.5
     py = position[1] - 0.5
@@ -141,7 +135,7 @@ def resample(image: wp.array[ColorWords], position: wp.vec2, width: int, height:
     near_x = wp.round(px)
     near_y = wp.round(py)
     if wp.abs(px - near_x) < 1.0e-3 and wp.abs(py - near_y) < 1.0e-3:
-        return load_color(
+        return load_vec4(
             image, wp.clamp(int(near_y), 0, height - 1) * width + wp.clamp(int(near_x), 0, width - 1))
     x = int(wp.floor(px))
     y = int(wp.floor(py))
@@ -154,8 +148,8 @@ def resample(image: wp.array[ColorWords], position: wp.vec2, width: int, height:
         total += resample_row(image, wp.clamp(y + j - 1, 0, height - 1) * width, x, width - 1, wx) * wy[j + 1]
     below = wp.clamp(y - 2, 0, height - 1) * width
     above = wp.clamp(y + 3, 0, height - 1) * width
-    total += (load_color(image, below + x0) * wx[2] + load_color(image, below + x1) * wx[3]) * wy[0]
-    total += (load_color(image, above + x0) * wx[2] + load_color(image, above + x1) * wx[3]) * wy[5]
+    total += (load_vec4(image, below + x0) * wx[2] + load_vec4(image, below + x1) * wx[3]) * wy[0]
+    total += (load_vec4(image, above + x0) * wx[2] + load_vec4(image, above + x1) * wx[3]) * wy[5]
     # What the eight taps left out would have weighed.
     return total / (1.0 - (1.0 - wx[2] - wx[3]) * (wy[0] + wy[5]))
 
@@ -169,6 +163,7 @@ def gather_neighborhood(
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     squares = wp.vec4(0.0, 0.0, 0.0, 0.0)
     nearest = y * width + x
+    least = depth[nearest]
     for k in range(9):
         dx = k % 3 - 1
         dy = k // 3 - 1
@@ -176,7 +171,9 @@ def gather_neighborhood(
         v = to_ycocg(unpack_halves(color[pixel]))
         total += v
         squares += wp.cw_mul(v, v)
-        if depth[pixel] < depth[nearest]:
+        found = depth[pixel]
+        if found < least:
+            least = found
             nearest = pixel
     n.mean = total / 9.0
     variance = squares / 9.0 - wp.cw_mul(n.mean, n.mean)
@@ -243,7 +240,7 @@ def history_limit(view: View) -> float:
     return limit
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def antialias(
     first: int,
     # In:
@@ -253,7 +250,6 @@ def antialias(
     position: wp.array[wp.vec2],
     taps: wp.array[wp.uint8],
     previous: Accumulation,
-    history_words: wp.array[ColorWords],
     width: int,
     height: int,
     enabled: int,
@@ -262,20 +258,20 @@ def antialias(
 ):
     """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written.
 
-    `color` is pack_halves of colours; `history_words` are those of `previous`.
+    `color` is pack_halves of colours.
     """
     pixel = first + wp.tid()
-    rest = views[0].rest
+    view = load_view(views)
     current = unpack_halves(color[pixel])
     mean = current
     samples = float(0.0)
-    if enabled == 1 and views[0].restart == 0:
-        if rest > 0:
+    if enabled == 1 and view.restart == 0:
+        if view.rest > 0:
             samples = float(previous.samples[pixel])
-            if rest == 1:
+            if view.rest == 1:
                 samples = wp.min(samples, FIRST_REST_SAMPLES)
-            samples = wp.min(samples, history_limit(views[0]))
-            mean = previous.color[pixel]
+            samples = wp.min(samples, history_limit(view))
+            mean = load_vec4(previous.color, pixel)
             mean += (current - mean) / (samples + 1.0)
         else:
             x = pixel % width
@@ -284,13 +280,13 @@ def antialias(
             # Edges move with what is in front: their history is where that was.
             p = position[n.nearest] + wp.vec2(float(x - n.nearest % width), float(y - n.nearest // width))
             if int(taps[n.nearest]) == 0 or not wp.isfinite(p[0] + p[1]):
-                mean = filter_frame(color, views[0].jitter, x, y, width, height)
+                mean = filter_frame(color, view.jitter, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
-                samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(views[0]))
-                history = clamp_color(rectify(clamp_color(resample(history_words, p, width, height)), n))
+                samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(view))
+                history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
                 w_new = firefly_weight(current)
                 w_old = firefly_weight(history) * samples
                 mean = (current * w_new + history * w_old) / (w_new + w_old)
-    accumulation_out.color[pixel] = mean
+    store_vec4(accumulation_out.color, pixel, mean)
     accumulation_out.samples[pixel] = wp.uint16(wp.min(samples + 1.0, SAMPLES_MAX))

@@ -11,6 +11,8 @@ from .long_mean import unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
 from .view import SKY_DEPTH, View
+from .wide_loads import load_vec4h
+from .wide_stores import store_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -108,7 +110,7 @@ def indirect_light(gbuffer: GBuffer, lights: Lights, pixel: int) -> wp.vec3:
     """Return a surface's diffuse indirect light: irradiance / pi."""
     if lights.has_indirect == 1:
         return unpack_mean(lights.indirect[pixel])
-    return light_or_none(lights.irradiance[pixel]) * seen_share(gbuffer, pixel)
+    return light_or_none(load_vec4h(lights.irradiance, pixel)) * seen_share(gbuffer, pixel)
 
 
 @wp.func
@@ -147,7 +149,7 @@ def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
     """Multiply a pixel's demodulated light by the surface's colours."""
     s = LightShares()
     none = wp.vec3(0.0, 0.0, 0.0)
-    e = from_half(gbuffer.emission[pixel])
+    e = from_half(load_vec4h(gbuffer.emission, pixel))
     emitted = rgb(e)
     if not is_finite3(emitted):
         emitted = none
@@ -168,9 +170,9 @@ def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
         indirect = indirect_light(gbuffer, lights, pixel)
         s.diffuse_albedo = m.diffuse + m.translucent
         s.specular_albedo = m.specular
-        s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(lights.direct_diffuse[pixel]))
+        s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(load_vec4h(lights.direct_diffuse, pixel)))
         s.diffuse_indirect = wp.cw_mul(s.diffuse_albedo, indirect)
-        s.specular_direct = wp.cw_mul(m.specular, light_or_none(lights.direct_specular[pixel]))
+        s.specular_direct = wp.cw_mul(m.specular, light_or_none(load_vec4h(lights.direct_specular, pixel)))
         s.specular_indirect = wp.cw_mul(m.specular, reflected_light(lights, m, indirect, pixel))
         if max_component(m.transmitted) > 0.0:
             s.transmitted_albedo = m.transmitted
@@ -196,7 +198,7 @@ def compose(
     # Rounding of spherical harmonics may leave light slightly negative.
     c = wp.vec3(wp.clamp(c[0], 0.0, HALF_MAX), wp.clamp(c[1], 0.0, HALF_MAX), wp.clamp(c[2], 0.0, HALF_MAX))
     alpha = wp.where(views[0].transparent == 1, s.emission[3], 1.0)
-    color_out[pixel] = to_half(rgba(c, alpha))
+    store_vec4h(color_out, pixel, to_half(rgba(c, alpha)))
 
 
 @wp.kernel

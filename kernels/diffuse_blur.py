@@ -15,6 +15,7 @@ from .long_mean import pack_mean, unpack_mean
 from .packed_halves import pack_halves, unpack_first, unpack_halves
 from .packing import rgb, rgba
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view, load_word
 
 # Fast: means and weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -92,7 +93,7 @@ def blur_diffuse_x(
         if length >= 0.0:
             out = rgba(centre, float(reach))
         if reach > 0:
-            plane = pixel_plane(views[0], gbuffer, width, pixel)
+            plane = pixel_plane(load_view(views), gbuffer, width, pixel)
             normal = unit_normal(gbuffer.normal[pixel])
             x = pixel % width
             sum = wp.vec3(0.0, 0.0, 0.0)
@@ -100,12 +101,13 @@ def blur_diffuse_x(
             offset = wp.max(-reach, -x)
             end = wp.min(reach, width - 1 - x)
             while offset <= end:
+                # Without branches, so that all that is read of a tap is waited for together.
                 q = pixel + offset
                 w = surface_weight(plane, offset, 0, gbuffer.depth[q])
-                if w > 0.0 and unpack_first(history.state[q]) >= 0.0:
-                    w *= tap_factor(gbuffer, q, offset, reach, normal)
-                    sum += unpack_mean(history.irradiance[q]) * w
-                    total += w
+                w *= tap_factor(gbuffer, q, offset, reach, normal)
+                w = wp.where(unpack_first(load_word(history.state, q)) >= 0.0, w, 0.0)
+                sum += unpack_mean(load_word(history.irradiance, q)) * w
+                total += w
                 offset += 1
             if total > 1.0e-6:
                 out = rgba(sum / total, float(reach))
@@ -146,7 +148,7 @@ def blur_diffuse_y(
     if centre[3] < 0.0 and surface:
         reach = radius
     if surface and reach > 0:
-        plane = pixel_plane(views[0], gbuffer, width, pixel)
+        plane = pixel_plane(load_view(views), gbuffer, width, pixel)
         normal = unit_normal(gbuffer.normal[pixel])
         y = pixel // width
         sum = wp.vec3(0.0, 0.0, 0.0)
@@ -154,13 +156,14 @@ def blur_diffuse_y(
         offset = wp.max(-reach, -y)
         end = wp.min(reach, height - 1 - y)
         while offset <= end:
+            # Without branches, so that all that is read of a tap is waited for together.
             q = pixel + offset * width
-            value = unpack_halves(blurred[q])
+            value = unpack_halves(load_word(blurred, q))
             w = surface_weight(plane, 0, offset, gbuffer.depth[q])
-            if w > 0.0 and value[3] >= 0.0:
-                w *= tap_factor(gbuffer, q, offset, reach, normal)
-                sum += rgb(value) * w
-                total += w
+            w *= tap_factor(gbuffer, q, offset, reach, normal)
+            w = wp.where(value[3] >= 0.0, w, 0.0)
+            sum += rgb(value) * w
+            total += w
             offset += 1
         if total > 1.0e-6:
             out = rgba(sum / total, 1.0)

@@ -21,14 +21,17 @@ from .long_mean import (
     nearest_tap,
     off_centre,
     pack_mean,
+    place_between,
     surrounded,
+    tap_weights,
     unpack_mean,
-    usable_weight,
+    valid_tap,
 )
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
 from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import SKY_DEPTH, View, settled_length
+from .wide_loads import load_view, load_word
 
 # Fast: means and weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -100,9 +103,9 @@ def with_state(m: DiffuseMean, state: wp.vec4) -> DiffuseMean:
 
 @wp.func
 def gather_diffuse(
-    history: DiffuseHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
+    history: DiffuseHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, own: int, width: int, height: int,
 ) -> DiffuseMean:
-    """Return the mean of the frame before at a pixel's surface; its length is -1 where there is none."""
+    """Return the mean of the frame before at a surface (pixel `own`); its length is -1 where there is none."""
     m = unknown_light()
     if not off_centre(position):
         nearest = nearest_tap(position)
@@ -113,25 +116,26 @@ def gather_diffuse(
                 m = with_state(m, found)
                 m.irradiance = unpack_mean(history.irradiance[pixel])
         return m
-    weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    place = place_between(position, width)
+    weights = tap_weights(place)
     state = wp.vec4(0.0, 0.0, 0.0, 0.0)
     total = float(0.0)
     complete = int(taps) == ALL_TAPS
     for tap in range(4):
-        w = usable_weight(position, taps, tap)
-        if w > 0.0:
-            around = unpack_halves(history.state[tap_pixel(position, tap, width)])
-            if around[0] > 0.0:
-                weights[tap] = w
-                total += w
-                state += around * w
-            else:
-                complete = False
+        # All are read before any is judged: they wait for memory together.
+        around = unpack_halves(load_word(history.state, valid_tap(place, taps, tap, width, own)))
+        if not has_tap(taps, tap):
+            weights[tap] = 0.0
+        elif not around[0] > 0.0:
+            complete = complete and weights[tap] == 0.0
+            weights[tap] = 0.0
+        total += weights[tap]
+        state += around * weights[tap]
     if total > TAP_MINIMUM:
         scale = 1.0 / total
         m = with_state(m, state * scale)
-        wide = complete and surrounded(gbuffer, position, width, height)
-        m.irradiance = gather_mean(history.irradiance, position, weights * scale, complete, wide, width, height)
+        wide = complete and surrounded(gbuffer, place, width, height)
+        m.irradiance = gather_mean(history.irradiance, place, weights * scale, complete, wide, width, height)
     return m
 
 
@@ -184,7 +188,7 @@ def add_irradiance(
     return out
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def accumulate_diffuse(
     first: int,
     # In:
@@ -212,13 +216,15 @@ def accumulate_diffuse(
     camera moves the means and depths of 12, cached), 16 written.
     """
     pixel = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     m = unknown_light()
+    # Read before it is known whether there is a surface: they wait for memory together.
+    position = reprojection.position[pixel]
+    taps = reprojection.taps[pixel]
+    new = unpack_halves(irradiance[pixel])
     if gbuffer.depth[pixel] < SKY_DEPTH:
         if view.restart == 0:
-            m = gather_diffuse(
-                history, previous_gbuffer, reprojection.position[pixel], reprojection.taps[pixel], width, height)
-        new = unpack_halves(irradiance[pixel])
+            m = gather_diffuse(history, previous_gbuffer, position, taps, pixel, width, height)
         if is_finite3(rgb(new)) and wp.isfinite(new[3]):
             light = wp.max(rgb(new), wp.vec3(0.0, 0.0, 0.0))
             cap = wp.min(

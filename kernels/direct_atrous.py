@@ -18,6 +18,7 @@ from .filter_weights import (
     PixelPlane,
     brightness,
     inside,
+    inverse_root,
     pixel_plane,
     sharp_normal_weight,
     squared_cosine,
@@ -29,6 +30,7 @@ from .long_mean import pack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view
 
 # Fast: weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -100,7 +102,7 @@ def noise_weight(a: float, a_variance: float, b: float, b_error: float) -> float
     # The smallest width: a half-float's rounding.
     rounding = ROUNDING * wp.min(a, b) + 1.0e-7
     width = (a_variance + b_error * b_error) * (DEVIATIONS * DEVIATIONS) + rounding * rounding
-    return wp.exp(-wp.abs(a - b) * (1.0 / wp.sqrt(width)))
+    return wp.exp(wp.abs(a - b) * (-1.0 * inverse_root(width)))
 
 
 @wp.func
@@ -237,7 +239,7 @@ def change_score(sums: wp.vec4, scale: float, threshold: float) -> float:
     return wp.clamp((wp.abs(difference) / error - threshold) * 0.5, 0.0, 1.0)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def filter_direct_first(
     first: int,
     # In:
@@ -272,7 +274,7 @@ def filter_direct_first(
     pixel = first + wp.tid()
     light = load_light(diffuse, specular, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH:
-        view = views[0]
+        view = load_view(views)
         signed_length = float(history_out.length[pixel])
         length = wp.abs(signed_length)
         moving = 1.0 - float(view.rest) / REST_FRAMES
@@ -320,7 +322,7 @@ def filter_direct_first(
     specular_out[pixel] = pack_halves(light.specular)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def filter_direct(
     first: int,
     # In:
@@ -355,10 +357,11 @@ def filter_direct(
     light.specular = wp.vec4(0.0, 0.0, 0.0, -1.0)
     if gbuffer.depth[pixel] < SKY_DEPTH:
         centre = load_light(diffuse, specular, pixel)
-        plane = pixel_plane(views[0], gbuffer, width, pixel)
+        view = load_view(views)
+        plane = pixel_plane(view, gbuffer, width, pixel)
         own = gbuffer.normal[pixel]
         normal = unit_normal(own)
-        blur = TAP_WEIGHT * blur_strength(views[0])
+        blur = TAP_WEIGHT * blur_strength(view)
         x = pixel % width
         y = pixel // width
         sums = PairSums()

@@ -32,6 +32,8 @@ from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
 from .sampling import fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
+from .wide_loads import load_previous_view, load_view
+from .wide_stores import store_vec2
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -127,7 +129,7 @@ def draw_candidates(
 def store_reservoir(reservoirs: Reservoirs, pixel: int, r: Reservoir):
     """Keep a reservoir for the frame to come."""
     reservoirs.sample[pixel] = wp.vec2ui(r.candidate.light, r.candidate.u)
-    reservoirs.weight[pixel] = wp.vec2(r.weight, r.count)
+    store_vec2(reservoirs.weight, pixel, wp.vec2(r.weight, r.count))
 
 
 @wp.kernel(cuda_max_registers=96)
@@ -146,7 +148,7 @@ def resample_lights(
 ):
     """Choose a light sample for each pixel that has one of its own."""
     slot = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     pixel = pixel_of_slot(view, options, slot)
     if pixel < 0:
         return
@@ -241,7 +243,7 @@ def reuse_lights(
 ):
     """Join each pixel's sample with that of its surface in the frame before."""
     slot = first + wp.tid()
-    view = views[0]
+    view = load_previous_view(views)
     pixel = pixel_of_slot(view, options, slot)
     if pixel < 0 or not has_sample(view, options, slot):
         return

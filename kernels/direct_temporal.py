@@ -29,14 +29,17 @@ from .long_mean import (
     nearest_tap,
     off_centre,
     pack_mean,
+    place_between,
     surrounded,
+    tap_weights,
     unpack_mean,
-    usable_weight,
+    valid_tap,
 )
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .reprojection import Reprojection, has_tap, tap_pixel
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view, load_word
 
 # Fast: means and weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -90,9 +93,9 @@ def empty_mean() -> DirectMean:
 
 @wp.func
 def gather_direct(
-    history: DirectHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, width: int, height: int,
+    history: DirectHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, own: int, width: int, height: int,
 ) -> DirectMean:
-    """Return the means of the frame before at a pixel's surface; its length is 0 where there are none."""
+    """Return the means of the frame before at a surface (pixel `own`); its length is 0 where there are none."""
     m = empty_mean()
     if not off_centre(position):
         nearest = nearest_tap(position)
@@ -105,45 +108,47 @@ def gather_direct(
             m.diffuse = unpack_mean(history.diffuse[pixel])
             m.specular = unpack_mean(history.specular[pixel])
         return m
-    weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    place = place_between(position, width)
+    weights = tap_weights(place)
+    # All are read before any is judged: they wait for memory together.
+    lengths = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for tap in range(4):
+        lengths[tap] = float(history.length[valid_tap(place, taps, tap, width, own)])
     moments = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    length = float(0.0)
     total = float(0.0)
     complete = int(taps) == ALL_TAPS
     for tap in range(4):
-        w = usable_weight(position, taps, tap)
-        if w > 0.0:
-            pixel = tap_pixel(position, tap, width)
-            frames = float(history.length[pixel])
-            if frames != 0.0:
-                weights[tap] = w
-                total += w
-                moments += unpack_halves(history.moments[pixel]) * w
-                length += wp.abs(frames) * w
-                if frames < 0.0 and w > 0.25:
-                    m.changed = 1
-            else:
-                complete = False
+        found = unpack_halves(load_word(history.moments, valid_tap(place, taps, tap, width, own)))
+        if not has_tap(taps, tap):
+            weights[tap] = 0.0
+        elif lengths[tap] == 0.0:
+            complete = complete and weights[tap] == 0.0
+            weights[tap] = 0.0
+        elif lengths[tap] < 0.0 and weights[tap] > 0.25:
+            m.changed = 1
+        total += weights[tap]
+        moments += found * weights[tap]
     if total > TAP_MINIMUM:
         scale = 1.0 / total
         m.moments = moments * scale
-        m.length = length * scale
-        wide = complete and surrounded(gbuffer, position, width, height)
-        m.diffuse = gather_mean(history.diffuse, position, weights * scale, complete, wide, width, height)
-        m.specular = gather_mean(history.specular, position, weights * scale, complete, wide, width, height)
+        m.length = wp.dot(wp.vec4(
+            wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2]), wp.abs(lengths[3])), weights) * scale
+        wide = complete and surrounded(gbuffer, place, width, height)
+        m.diffuse = gather_mean(history.diffuse, place, weights * scale, complete, wide, width, height)
+        m.specular = gather_mean(history.specular, place, weights * scale, complete, wide, width, height)
     return m
 
 
 @wp.func
 def spatial_deviation(
-    view: View, gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.uint64],
+    views: wp.array[View], gbuffer: GBuffer, width: int, height: int, pixel: int, diffuse: wp.array[wp.uint64],
     specular: wp.array[wp.uint64],
 ) -> wp.vec2:
     """Return the standard deviations of the samples' luminances (diffuse, specular) around a pixel on its surface.
 
     Every other one of 5x5 pixels, as on a chessboard: where every other pixel has a sample, those are the ones.
     """
-    plane = pixel_plane(view, gbuffer, width, pixel)
+    plane = pixel_plane(load_view(views), gbuffer, width, pixel)
     normal = unit_normal(gbuffer.normal[pixel])
     x = pixel % width
     y = pixel // width
@@ -197,7 +202,7 @@ def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, cap: float) -
     return out
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def accumulate_direct(
     first: int,
     # In:
@@ -231,20 +236,22 @@ def accumulate_direct(
     the means and depths of 12, cached), 42 written. New surfaces read the samples of 13 pixels more.
     """
     pixel = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     m = empty_mean()
+    # Read before it is known whether there is a surface: they wait for memory together.
+    position = reprojection.position[pixel]
+    taps = reprojection.taps[pixel]
+    d = unpack_halves(diffuse[pixel])
+    s = unpack_halves(specular[pixel])
     if gbuffer.depth[pixel] < SKY_DEPTH:
         if view.restart == 0:
-            m = gather_direct(
-                history, previous_gbuffer, reprojection.position[pixel], reprojection.taps[pixel], width, height)
-        d = unpack_halves(diffuse[pixel])
-        s = unpack_halves(specular[pixel])
+            m = gather_direct(history, previous_gbuffer, position, taps, pixel, width, height)
         if d[3] > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
             zero = wp.vec3(0.0, 0.0, 0.0)
             cap = history_cap(view.rest, view.light_age, frames)
             m = add_sample(m, wp.max(rgb(d), zero), wp.max(rgb(s), zero), cap)
             if m.length < SPATIAL_FRAMES:
-                around = spatial_deviation(view, gbuffer, width, height, pixel, diffuse, specular)
+                around = spatial_deviation(views, gbuffer, width, height, pixel, diffuse, specular)
                 if m.changed == 0:
                     around = wp.max(around, wp.vec2(m.moments[0], m.moments[1]))
                 m.moments[0] = around[0]

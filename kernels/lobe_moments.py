@@ -15,8 +15,9 @@ from .albedo_tables import plane_point, view_at
 from .gbuffer import SurfaceMaterial
 from .geometry_math import sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
-from .packing import pack_unorm16, unpack_unorm16
+from .packing import pack_unorm16, unpack_unorm16, whole_float
 from .specular_lobes import schlick, surface_alpha
+from .wide_loads import load_piece
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -160,6 +161,45 @@ def second_about(m: wp.vec4, axis: wp.vec2) -> float:
 
 
 @wp.func
+def unpack_moments_of(low: wp.uint32, high: wp.uint32) -> wp.vec4:
+    """Return the same as unpack_moments, of the lower and the upper bits."""
+    v = wp.vec4(
+        whole_float(low & wp.uint32(65535)), whole_float(low >> wp.uint32(16)),
+        whole_float(high & wp.uint32(65535)), whole_float(high >> wp.uint32(16))) * 1.5259022e-5
+    return v * 2.0 - wp.vec4(1.0, 1.0, 1.0, 1.0)
+
+
+@wp.struct
+class BothMoments:
+    """What table_moments returns, for each of the two lobes."""
+
+    a: wp.vec4
+    b: wp.vec4
+
+
+@wp.func
+def both_moments(moments: wp.array[wp.uint64], u: float, v: float) -> BothMoments:
+    """Return table_moments of both lobes, which lie side by side."""
+    i = wp.min(int(u), LOBE_NODES - 2)
+    j = wp.min(int(v), LOBE_NODES - 2)
+    at = j * LOBE_NODES + i
+    fu = u - float(i)
+    fv = v - float(j)
+    p = load_piece(moments, at)
+    q = load_piece(moments, at + 1)
+    r = load_piece(moments, at + LOBE_NODES)
+    s = load_piece(moments, at + LOBE_NODES + 1)
+    out = BothMoments()
+    out.a = wp.lerp(
+        wp.lerp(unpack_moments_of(p[0], p[1]), unpack_moments_of(q[0], q[1]), fu),
+        wp.lerp(unpack_moments_of(r[0], r[1]), unpack_moments_of(s[0], s[1]), fu), fv)
+    out.b = wp.lerp(
+        wp.lerp(unpack_moments_of(p[2], p[3]), unpack_moments_of(q[2], q[3]), fu),
+        wp.lerp(unpack_moments_of(r[2], r[3]), unpack_moments_of(s[2], s[3]), fu), fv)
+    return out
+
+
+@wp.func
 def reflection_lobe(
     moments: wp.array[wp.uint64], n: wp.vec3, wo: wp.vec3, roughness: float, f0: float, f90: float,
 ) -> Lobe:
@@ -176,8 +216,9 @@ def reflection_lobe(
     cosine = wp.clamp(wp.dot(n, wo), COSINE_MIN, 1.0)
     u = wp.clamp(roughness, 0.0, 1.0) * float(LOBE_NODES - 1)
     v = wp.sqrt(cosine) * float(LOBE_NODES - 1)
-    a = table_moments(moments, 0, u, v)
-    b = table_moments(moments, 1, u, v)
+    both = both_moments(moments, u, v)
+    a = both.a
+    b = both.b
     # What reflects nothing at all has the shape of its first lobe.
     share = wp.max(b[0] * f90, 0.0)
     share = share / (share + wp.max(a[0] * wp.max(f0, 1.0e-4), 1.0e-6))

@@ -11,14 +11,17 @@ import warp as wp
 
 from .gbuffer import GBuffer
 from .packing import HALF_MAX
-from .reprojection import has_tap, tap_pixel, tap_weight
+from .reprojection import has_tap
+from .wide_loads import load_four_floats, load_two_floats, load_two_words, load_word
 
 # Brings 2^-47..2^16 down to where the exponent of float32 has its two upper bits 0, and back.
 PACK_SCALE = wp.constant(2.0**-79)
 UNPACK_SCALE = wp.constant(2.0**79)
 # Codes below have an exponent of 0: too small to be kept.
 SMALLEST_CODE = wp.constant(wp.uint32(1 << 15))
-COMPONENT_MASK = wp.constant(wp.uint64(0x1FFFFF))
+# Where a code lies in the bits of a float.
+COMPONENT_BITS = wp.constant(wp.uint32(0x1FFFFF00))
+LOW_WORD = wp.constant(wp.uint64(0xFFFFFFFF))
 
 # Weight of all valid taps together below which a place has no history.
 TAP_MINIMUM = wp.constant(1.0e-3)
@@ -44,12 +47,6 @@ def pack_component(x: float) -> wp.uint64:
 
 
 @wp.func
-def unpack_component(code: wp.uint32) -> float:
-    """Return the number of pack_component."""
-    return wp.cast(code << wp.uint32(8), wp.float32) * UNPACK_SCALE
-
-
-@wp.func
 def pack_mean(c: wp.vec3) -> wp.uint64:
     """Round a colour to 21 bits a component (relative error at most 2^-16)."""
     return (
@@ -57,112 +54,169 @@ def pack_mean(c: wp.vec3) -> wp.uint64:
 
 
 @wp.func
+def unpack_scaled(packed: wp.uint64) -> wp.vec3:
+    """Return the colour of pack_mean times PACK_SCALE: sums and ranges of colours need the factor only once."""
+    low = wp.uint32(packed & LOW_WORD)
+    high = wp.uint32(packed >> wp.uint64(32))
+    return wp.vec3(
+        wp.cast((low << wp.uint32(8)) & COMPONENT_BITS, wp.float32),
+        wp.cast(wp.uint32((packed >> wp.uint64(13)) & LOW_WORD) & COMPONENT_BITS, wp.float32),
+        wp.cast((high >> wp.uint32(2)) & COMPONENT_BITS, wp.float32))
+
+
+@wp.func
 def unpack_mean(packed: wp.uint64) -> wp.vec3:
     """Return the colour of pack_mean."""
-    return wp.vec3(
-        unpack_component(wp.uint32(packed & COMPONENT_MASK)),
-        unpack_component(wp.uint32((packed >> wp.uint64(21)) & COMPONENT_MASK)),
-        unpack_component(wp.uint32((packed >> wp.uint64(42)) & COMPONENT_MASK)))
+    return unpack_scaled(packed) * UNPACK_SCALE
+
+
+@wp.struct
+class Between:
+    """A place between four pixels; see Reprojection.taps for their order."""
+
+    left: int
+    """Column of the first"""
+    low: int
+    """Row of the first"""
+    corner: int
+    """Index of the first; of pixels off the picture it means nothing"""
+    x: float
+    """Way from the first to the next column, 0..1"""
+    y: float
 
 
 @wp.func
-def usable_weight(position: wp.vec2, taps: wp.uint8, tap: int) -> float:
-    """Return the bilinear weight of a tap, 0 where it shows another surface."""
-    if not has_tap(taps, tap):
-        return 0.0
-    return tap_weight(position, tap)
+def place_between(position: wp.vec2, width: int) -> Between:
+    """Return between which pixels a position lies (Reprojection.position)."""
+    out = Between()
+    left = wp.floor(position[0] - 0.5)
+    low = wp.floor(position[1] - 0.5)
+    out.left = int(left)
+    out.low = int(low)
+    out.corner = out.low * width + out.left
+    out.x = position[0] - 0.5 - left
+    out.y = position[1] - 0.5 - low
+    return out
 
 
 @wp.func
-def gather_bilinear(image: wp.array[wp.uint64], position: wp.vec2, weights: wp.vec4, width: int) -> wp.vec3:
+def tap_weights(place: Between) -> wp.vec4:
+    """Return the bilinear weights of the four pixels."""
+    x = 1.0 - place.x
+    y = 1.0 - place.y
+    return wp.vec4(x * y, place.x * y, x * place.y, place.x * place.y)
+
+
+@wp.func
+def valid_tap(place: Between, taps: wp.uint8, tap: int, width: int, pixel: int) -> int:
+    """Return the pixel of a tap, or another one that can be read where the tap shows something else."""
+    return wp.where(has_tap(taps, tap), place.corner + (tap & 1) + (tap >> 1) * width, pixel)
+
+
+@wp.func
+def gather_bilinear(image: wp.array[wp.uint64], place: Between, weights: wp.vec4, width: int) -> wp.vec3:
     """Return the mean of the taps by weights that sum to 1 (taps of weight 0 are not read)."""
     sum = wp.vec3(0.0, 0.0, 0.0)
     for tap in range(4):
         if weights[tap] > 0.0:
-            sum += unpack_mean(image[tap_pixel(position, tap, width)]) * weights[tap]
+            sum += unpack_mean(image[place.corner + (tap & 1) + (tap >> 1) * width]) * weights[tap]
     return sum
 
 
 @wp.func
-def cubic_weight(f: float, tap: int) -> float:
-    """Return the Catmull-Rom weight of tap 0..3 (-1, 0, 1, 2) at a fraction f behind tap 1."""
-    if tap == 0:
-        return f * (-0.5 + f * (1.0 - 0.5 * f))
-    if tap == 1:
-        return 1.0 + f * f * (-2.5 + 1.5 * f)
-    if tap == 2:
-        return f * (0.5 + f * (2.0 - 1.5 * f))
-    return f * f * (-0.5 + 0.5 * f)
+def cubic_weights(f: float) -> wp.vec4:
+    """Return the Catmull-Rom weights of taps at -1, 0, 1, 2 at a fraction f."""
+    return wp.vec4(
+        f * (-0.5 + f * (1.0 - 0.5 * f)), 1.0 + f * f * (-2.5 + 1.5 * f), f * (0.5 + f * (2.0 - 1.5 * f)),
+        f * f * (-0.5 + 0.5 * f))
 
 
 @wp.func
-def near_column(left: int, tap: int, width: int) -> int:
-    """Return column 0..3 (-1, 0, 1, 2) from `left`, within the picture."""
-    return wp.clamp(left - 1 + tap, 0, width - 1)
-
-
-@wp.func
-def gather_cubic(image: wp.array[wp.uint64], position: wp.vec2, width: int, height: int, wide: bool) -> wp.vec3:
+def gather_cubic(image: wp.array[wp.uint64], place: Between, width: int, height: int, wide: bool) -> wp.vec3:
     """Return the Catmull-Rom interpolation between pixels: bilinear taps would blur the light anew in every frame.
 
     Of the 4x4 pixels the corners are left out: cubic along rows plus cubic along columns minus bilinear, which is
-    exact but for terms of fourth order. The result is limited to the range of the inner 2x2, which keeps out what
-    other surfaces there are around them; where there are none (`wide`), to a little more than the range of all, so
-    that peaks don't wear off in motion.
+    exact but for terms of fourth order. The result is limited to the range of the inner 2x2, which must all be in the
+    picture; that keeps out what other surfaces there are around them; where there are none (`wide`), to a little more
+    than the range of all, so that peaks don't wear off in motion.
     """
-    left = int(wp.floor(position[0] - 0.5))
-    low = int(wp.floor(position[1] - 0.5))
-    fx = position[0] - 0.5 - float(left)
-    fy = position[1] - 0.5 - float(low)
-    linear_x = wp.vec4(0.0, 1.0 - fx, fx, 0.0)
-    linear_y = wp.vec4(0.0, 1.0 - fy, fy, 0.0)
-    least = wp.vec3(HALF_MAX, HALF_MAX, HALF_MAX)
-    most = wp.vec3(0.0, 0.0, 0.0)
-    outer_least = least
-    outer_most = most
-    sum = wp.vec3(0.0, 0.0, 0.0)
-    for j in range(4):
-        row = near_column(low, j, height) * width
-        cubic_y = cubic_weight(fy, j)
-        for i in range(4):
-            if i % 3 != 0 or j % 3 != 0:
-                c = unpack_mean(image[row + near_column(left, i, width)])
-                sum += c * (cubic_weight(fx, i) * linear_y[j] + linear_x[i] * (cubic_y - linear_y[j]))
-                if i % 3 != 0 and j % 3 != 0:
-                    least = wp.min(least, c)
-                    most = wp.max(most, c)
-                else:
-                    outer_least = wp.min(outer_least, c)
-                    outer_most = wp.max(outer_most, c)
+    x = place.x
+    y = place.y
+    cubic_x = cubic_weights(x)
+    cubic_y = cubic_weights(y)
+    # Of the 2x2, and the differences from linear to cubic along columns.
+    down = 1.0 - y
+    more_low = cubic_y[1] - down
+    more_high = cubic_y[2] - y
+    corner = place.corner
+    above = corner + width
+    # The edge pixel repeats.
+    before = wp.where(place.left > 0, -1, 0)
+    after = wp.where(place.left + 2 < width, 2, 1)
+    under = wp.where(place.low > 0, corner - width, corner)
+    over = wp.where(place.low + 2 < height, above + width, above)
+    # All are read before any is used: they wait for memory together.
+    words = load_two_words(image, under)
+    under_left = unpack_scaled(words[0])
+    under_right = unpack_scaled(words[1])
+    words = load_two_words(image, corner)
+    low_left = unpack_scaled(words[0])
+    low_right = unpack_scaled(words[1])
+    low_before = unpack_scaled(load_word(image, corner + before))
+    low_after = unpack_scaled(load_word(image, corner + after))
+    words = load_two_words(image, above)
+    high_left = unpack_scaled(words[0])
+    high_right = unpack_scaled(words[1])
+    high_before = unpack_scaled(load_word(image, above + before))
+    high_after = unpack_scaled(load_word(image, above + after))
+    words = load_two_words(image, over)
+    over_left = unpack_scaled(words[0])
+    over_right = unpack_scaled(words[1])
+    sum = under_left * ((1.0 - x) * cubic_y[0]) + under_right * (x * cubic_y[0])
+    sum += low_before * (cubic_x[0] * down)
+    sum += low_left * (cubic_x[1] * down + (1.0 - x) * more_low)
+    sum += low_right * (cubic_x[2] * down + x * more_low)
+    sum += low_after * (cubic_x[3] * down)
+    sum += high_before * (cubic_x[0] * y)
+    sum += high_left * (cubic_x[1] * y + (1.0 - x) * more_high)
+    sum += high_right * (cubic_x[2] * y + x * more_high)
+    sum += high_after * (cubic_x[3] * y)
+    sum += over_left * ((1.0 - x) * cubic_y[3])
+    sum += over_right * (x * cubic_y[3])
+    least = wp.min(wp.min(low_left, low_right), wp.min(high_left, high_right))
+    most = wp.max(wp.max(low_left, low_right), wp.max(high_left, high_right))
     if wide:
-        least = wp.min(least, outer_least)
-        most = wp.max(most, outer_most)
+        least = wp.min(least, wp.min(wp.min(under_left, under_right), wp.min(over_left, over_right)))
+        least = wp.min(least, wp.min(wp.min(low_before, low_after), wp.min(high_before, high_after)))
+        most = wp.max(most, wp.max(wp.max(under_left, under_right), wp.max(over_left, over_right)))
+        most = wp.max(most, wp.max(wp.max(low_before, low_after), wp.max(high_before, high_after)))
         margin = (most - least) * RANGE_MARGIN
         least = wp.max(least - margin, wp.vec3(0.0, 0.0, 0.0))
         most += margin
-    return wp.min(wp.max(sum, least), most)
+    return wp.min(wp.max(sum, least), most) * UNPACK_SCALE
 
 
 @wp.func
-def surrounded(gbuffer: GBuffer, position: wp.vec2, width: int, height: int) -> bool:
+def surrounded(gbuffer: GBuffer, place: Between, width: int, height: int) -> bool:
     """Return whether the pixels that gather_cubic reads show the same smooth surface as the inner 2x2, by depths."""
-    left = int(wp.floor(position[0] - 0.5))
-    low = int(wp.floor(position[1] - 0.5))
-    if left < 1 or low < 1 or left + 2 >= width or low + 2 >= height:
+    if place.left < 1 or place.low < 1 or place.left + 2 >= width or place.low + 2 >= height:
         return False
-    corner = low * width + left
-    depth = gbuffer.depth[corner]
-    across = gbuffer.depth[corner + 1] - depth
-    up = gbuffer.depth[corner + width] - depth
+    # All are read before any is judged: they wait for memory together.
+    row = load_four_floats(gbuffer.depth, place.corner - 1)
+    above = load_four_floats(gbuffer.depth, place.corner + width - 1)
+    under = load_two_floats(gbuffer.depth, place.corner - width)
+    over = load_two_floats(gbuffer.depth, place.corner + 2 * width)
+    depth = row[1]
+    across = row[2] - depth
+    up = above[1] - depth
     # Depth is linear on a plane but for perspective, which bends it by far less than its step.
     tolerance = 0.5 * (wp.abs(across) + wp.abs(up)) + FLAT * depth
-    worst = float(0.0)
-    # All are read before any is judged: they wait for memory together.
-    for j in range(4):
-        for i in range(4):
-            if (i % 3 == 0) != (j % 3 == 0):
-                found = gbuffer.depth[corner + (j - 1) * width + i - 1]
-                worst = wp.max(worst, wp.abs(found - depth - float(i - 1) * across - float(j - 1) * up))
+    worst = wp.max(wp.abs(under[0] - depth + up), wp.abs(under[1] - depth - across + up))
+    worst = wp.max(worst, wp.max(wp.abs(row[0] - depth + across), wp.abs(row[3] - depth - 2.0 * across)))
+    worst = wp.max(worst, wp.max(
+        wp.abs(above[0] - depth + across - up), wp.abs(above[3] - depth - 2.0 * across - up)))
+    worst = wp.max(worst, wp.max(
+        wp.abs(over[0] - depth - 2.0 * up), wp.abs(over[1] - depth - across - 2.0 * up)))
     return worst <= tolerance
 
 
@@ -184,12 +238,12 @@ def nearest_tap(position: wp.vec2) -> int:
 
 @wp.func
 def gather_mean(
-    image: wp.array[wp.uint64], position: wp.vec2, weights: wp.vec4, sharp: bool, wide: bool, width: int, height: int,
+    image: wp.array[wp.uint64], place: Between, weights: wp.vec4, sharp: bool, wide: bool, width: int, height: int,
 ) -> wp.vec3:
     """Return a mean at a place between pixels: cubic if `sharp`, else of the taps that have a weight."""
     if sharp:
-        return gather_cubic(image, position, width, height, wide)
-    return gather_bilinear(image, position, weights, width)
+        return gather_cubic(image, place, width, height, wide)
+    return gather_bilinear(image, place, weights, width)
 
 
 @wp.func

@@ -25,27 +25,40 @@ def pack_halves(v: wp.vec4) -> wp.uint64:
     return wp.uint64(low) | (wp.uint64(high) << wp.uint64(32))
 
 
-@wp.func
-def low_half(pair: wp.uint32) -> float:
-    """Return the half-float in the lower bits."""
-    return float(wp.cast(wp.uint16(pair & wp.uint32(65535)), wp.float16))
+# A GPU converts either half of a register as it lies there; told by shifts and casts, it shifts first.
+@wp.func_native("""
+#ifdef __CUDA_ARCH__
+    float a, b;
+    asm("{ .reg .b16 low, high; mov.b32 {low, high}, %2; cvt.f32.f16 %0, low; cvt.f32.f16 %1, high; }"
+        : "=f"(a), "=f"(b) : "r"(pair));
+    return wp::vec_t<2, float>(a, b);
+#else
+    wp::half low, high;
+    low.u = (unsigned short)(pair & 65535u);
+    high.u = (unsigned short)(pair >> 16);
+    return wp::vec_t<2, float>(wp::half_to_float(low), wp::half_to_float(high));
+#endif
+""")
+def unpack_pair(pair: wp.uint32) -> wp.vec2:
+    """Return two half-floats, that in the lower bits first."""
+    ...
 
 
 @wp.func
-def high_half(pair: wp.uint32) -> float:
-    """Return the half-float in the upper bits."""
-    return float(wp.cast(wp.uint16(pair >> wp.uint32(16)), wp.float16))
+def unpack_pairs(low: wp.uint32, high: wp.uint32) -> wp.vec4:
+    """Return the four numbers of pack_halves, of its lower and its upper bits."""
+    a = unpack_pair(low)
+    b = unpack_pair(high)
+    return wp.vec4(a[0], a[1], b[0], b[1])
 
 
 @wp.func
 def unpack_first(packed: wp.uint64) -> float:
     """Return the first of the four numbers of pack_halves."""
-    return low_half(wp.uint32(packed & wp.uint64(0xFFFFFFFF)))
+    return unpack_pair(wp.uint32(packed & wp.uint64(0xFFFFFFFF)))[0]
 
 
 @wp.func
 def unpack_halves(packed: wp.uint64) -> wp.vec4:
     """Return the four numbers of pack_halves."""
-    low = wp.uint32(packed & wp.uint64(0xFFFFFFFF))
-    high = wp.uint32(packed >> wp.uint64(32))
-    return wp.vec4(low_half(low), high_half(low), low_half(high), high_half(high))
+    return unpack_pairs(wp.uint32(packed & wp.uint64(0xFFFFFFFF)), wp.uint32(packed >> wp.uint64(32)))

@@ -9,12 +9,19 @@ from .geometry_math import safe_sqrt
 
 # Largest value that the half-float buffers take (the format ends at 65504).
 HALF_MAX = wp.constant(65000.0)
+BITS_OF_2_23 = wp.constant(wp.uint32(0x4B000000))
 
 
 @wp.func
 def sign_not_zero(x: float) -> float:
     """Return 1 or -1."""
     return wp.where(x < 0.0, -1.0, 1.0)
+
+
+@wp.func
+def whole_float(x: wp.uint32) -> float:
+    """Return a whole number below 2^23 as a float: the lower bits of 2^23's. On GPUs conversions proper are slow."""
+    return wp.cast(x | BITS_OF_2_23, float) - 8388608.0
 
 
 @wp.func

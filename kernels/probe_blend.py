@@ -17,6 +17,8 @@ from .probe_rays import MISS_DISTANCE, ProbeRays
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
 from .sampling import hash32, hash_combine
 from .view import View
+from .wide_loads import load_eight_bytes, load_vec4, load_vec4h
+from .wide_stores import store_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -30,14 +32,21 @@ CHANGE_LEAST = wp.constant(0.1)
 # Bounds the change of light from black.
 CHANGE_MOST = wp.constant(64.0)
 
+# Of rays that count in no cell, instead of a distance.
+UNCOUNTED = wp.constant(-1.0)
+
 # The bits of a float that a half keeps; typed, because Warp writes literals above 2^31 as signed numbers.
 HALF_BITS = wp.constant(wp.uint32(0xFFFFE000))
+
+# Of each of eight bytes: the lowest bit, all but the highest.
+LOWEST_BITS = wp.constant(wp.uint64(0x0101010101010101))
+LOW_BITS = wp.constant(wp.uint64(0x7F7F7F7F7F7F7F7F))
 
 
 @wp.func
 def counted_radiance(rays: ProbeRays, ray: int) -> wp.vec3:
     """Return what a ray brought, never negative; NaN and infinity as 0."""
-    value = rgb(rays.radiance[ray])
+    value = rgb(load_vec4(rays.radiance, ray))
     if not is_finite3(value):
         return wp.vec3(0.0, 0.0, 0.0)
     return wp.vec3(
@@ -47,11 +56,36 @@ def counted_radiance(rays: ProbeRays, ray: int) -> wp.vec3:
 @wp.func
 def ray_distance(rays: ProbeRays, ray: int) -> float:
     """Return how far a ray went [m], positive and fit for half-floats."""
-    t = rays.radiance[ray][3]
+    t = load_vec4(rays.radiance, ray)[3]
     if not wp.isfinite(t):
         return MISS_DISTANCE
     # The least positive number keeps the distance of a known cell apart from that of an unknown one.
     return wp.clamp(t, 1.0e-4, MISS_DISTANCE)
+
+
+@wp.func
+def cell_at(cells: wp.uint64, i: int) -> int:
+    """Return one of eight neighbours of ProbeUpdates.cell, as load_eight_bytes loads them."""
+    return int((cells >> wp.uint64(8 * i)) & wp.uint64(255))
+
+
+@wp.func
+def rays_of(cells: wp.uint64, cell: int) -> wp.uint64:
+    """Return which of eight rays count in a cell: the highest bits of their bytes."""
+    other = cells ^ (wp.uint64(cell) * LOWEST_BITS)
+    return ~(((other & LOW_BITS) + LOW_BITS) | other) & ~LOW_BITS
+
+
+@wp.func_native("""
+#ifdef __CUDA_ARCH__
+    return (__ffsll((long long)marks) - 1) >> 3;
+#else
+    return __builtin_ctzll(marks) >> 3;
+#endif
+""")
+def first_ray(marks: wp.uint64) -> int:
+    """Return the first of the rays that rays_of tells, of which there must be one."""
+    ...
 
 
 @wp.func
@@ -107,18 +141,23 @@ def detect_changes(
     change = float(0.0)
     squares = float(0.0)
     known = float(0.0)
-    for ray in range(CELLS):
-        index = update * CELLS + ray
-        cell = int(updates_out.cell[index])
-        if cell != NO_CELL:
-            before = from_half(updates_out.previous[update * CELLS + cell])
-            if before[3] > 0.0:
-                weight = 1.0 / updates_out.expected[update * CELLS + cell]
-                old = luminance(rgb(before), grid.luminance)
-                departure = weight * (luminance(counted_radiance(rays, index), grid.luminance) - old)
-                change = change + departure
-                squares = squares + departure * departure
-                known = known + weight * old
+    k = int(0)
+    while k < 8:
+        cells = load_eight_bytes(updates_out.cell, update * 8 + k)
+        # Without branches, so that eight rays wait for memory together.
+        for i in range(8):
+            cell = cell_at(cells, i)
+            at = update * CELLS + wp.min(cell, CELLS - 1)
+            before = from_half(load_vec4h(updates_out.previous, at))
+            counts = wp.where(cell == NO_CELL, UNCOUNTED, before[3])
+            weight = wp.where(counts > 0.0, 1.0 / updates_out.expected[at], 0.0)
+            old = luminance(rgb(before), grid.luminance)
+            brought = luminance(counted_radiance(rays, update * CELLS + 8 * k + i), grid.luminance)
+            departure = weight * (brought - old)
+            change = change + departure
+            squares = squares + departure * departure
+            known = known + weight * old
+        k = k + 1
     noise = pool_out.noise[slot]
     if updates_out.fresh[update] == 1:
         noise = 0.0
@@ -138,13 +177,18 @@ def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4
     """Return the mean radiance of a probe's rays, each weighed by what it stands for, and their mean distance."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     weight = float(0.0)
-    for ray in range(CELLS):
-        index = update * CELLS + ray
-        cell = int(updates.cell[index])
-        if cell != NO_CELL:
-            w = 1.0 / updates.expected[update * CELLS + cell]
+    k = int(0)
+    while k < 8:
+        cells = load_eight_bytes(updates.cell, update * 8 + k)
+        # Without branches, so that eight rays wait for memory together.
+        for i in range(8):
+            index = update * CELLS + 8 * k + i
+            cell = cell_at(cells, i)
+            w = wp.where(
+                cell == NO_CELL, 0.0, 1.0 / updates.expected[update * CELLS + wp.min(cell, CELLS - 1)])
             total = total + rgba(counted_radiance(rays, index), 1.0 / ray_distance(rays, index)) * w
             weight = weight + w
+        k = k + 1
     if weight == 0.0:
         return wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
     return rgba(rgb(total) / weight, weight / total[3])
@@ -206,12 +250,16 @@ def blend_rays(
         return
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     found = float(0.0)
-    for ray in range(CELLS):
-        if int(updates.cell[update * CELLS + ray]) == cell:
-            i = update * CELLS + ray
+    before = from_half(load_vec4h(updates.previous, index))
+    k = int(0)
+    while k < 8:
+        marks = rays_of(load_eight_bytes(updates.cell, update * 8 + k), cell)
+        while marks != wp.uint64(0):
+            i = update * CELLS + 8 * k + first_ray(marks)
+            marks = marks & (marks - wp.uint64(1))
             total = total + rgba(counted_radiance(rays, i), 1.0 / ray_distance(rays, i))
             found = found + 1.0
-    before = from_half(updates.previous[index])
+        k = k + 1
     known = before[3] > 0.0
     count = updates.count[update]
     value = rgb(before)
@@ -243,6 +291,6 @@ def blend_rays(
         value = wp.lerp(value, rgb(mean), step)
         inverse = wp.lerp(inverse, 1.0 / mean[3], step)
     noise = hash_combine(wp.uint32(slot * CELLS + cell), wp.uint32(views[0].frame))
-    pool_out.radiance[slot * CELLS + cell] = store(value, 1.0 / inverse, noise)
+    store_vec4h(pool_out.radiance, slot * CELLS + cell, store(value, 1.0 / inverse, noise))
     if cell == 0:
         pool_out.count[slot] = count + 1.0

@@ -19,6 +19,8 @@ from .probe_rays import MISS_DISTANCE
 from .probe_spawn import probe_cell, separated
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
+from .wide_loads import load_vec4h, load_view
+from .wide_stores import store_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -56,7 +58,7 @@ def aimed_radiance(pool: ProbePool, slot: int, position: wp.vec3, direction: wp.
     aim = direction
     if wp.dot(n, aim) <= 0.0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    value = from_half(pool.radiance[slot * CELLS + cell_of(to_local(n, aim))])
+    value = from_half(load_vec4h(pool.radiance, slot * CELLS + cell_of(to_local(n, aim))))
     if value[3] >= FAR:
         return value
     found = value
@@ -66,7 +68,7 @@ def aimed_radiance(pool: ProbePool, slot: int, position: wp.vec3, direction: wp.
         aim = wp.normalize(position + direction * far - origin)
         if wp.dot(n, aim) <= 0.0:
             return found
-        value = from_half(pool.radiance[slot * CELLS + cell_of(to_local(n, aim))])
+        value = from_half(load_vec4h(pool.radiance, slot * CELLS + cell_of(to_local(n, aim))))
         if value[3] >= FAR:
             # What lies behind everything near is seen in the same direction from everywhere, but it was aimed away.
             if wp.dot(aim, direction) > REAIM_COSINE:
@@ -86,7 +88,7 @@ def kept_radiance(pool: ProbePool, slot: int, direction: wp.vec3) -> wp.vec4:
     local = to_local(unpack_normal(pool.normal[slot]), direction)
     if local[2] <= 0.0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    return from_half(pool.radiance[slot * CELLS + cell_of(local)])
+    return from_half(load_vec4h(pool.radiance, slot * CELLS + cell_of(local)))
 
 
 @wp.func
@@ -100,11 +102,17 @@ def related(pool: ProbePool, slot: int, position: wp.vec3, normal: wp.vec3, cell
 
 
 @wp.func
+def in_tiles(grid: ProbeGrid, column: int, row: int) -> bool:
+    """Return whether there is a tile at a place in the grid."""
+    return column >= 0 and row >= 0 and column < grid.tile_columns and row < grid.tile_rows
+
+
+@wp.func
 def neighbour_tile(grid: ProbeGrid, tile: int, x: int, y: int) -> int:
     """Return the tile at an offset, -1 off the picture."""
     i = tile % grid.tile_columns + x
     j = tile // grid.tile_columns + y
-    if i < 0 or j < 0 or i >= grid.tile_columns or j >= grid.tile_rows:
+    if not in_tiles(grid, i, j):
         return -1
     return j * grid.tile_columns + i
 
@@ -167,7 +175,7 @@ def gather_around(
     return rgba(rgb(total) / weight, weight / total[3])
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def gather_history(
     first: int,
     # In:
@@ -189,7 +197,8 @@ def gather_history(
     position = updates_out.position[update]
     normal = unpack_normal(updates_out.normal[update])
     direction = to_frame(normal, cell_center(cell))
-    width = probe_cell(views[0], project(views[0].camera, position)[2])
+    view = load_view(views)
+    width = probe_cell(view, project(view.camera, position)[2])
     value = wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
     if updates_out.fresh[update] == 0:
         if wp.length(pool.position[slot] - position) < KEPT_CELLS * width:
@@ -198,8 +207,8 @@ def gather_history(
             value = aimed_radiance(pool, slot, position, direction)
     if value[3] <= 0.0:
         value = gather_around(
-            views[0], grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
-    updates_out.previous[index] = to_half(value)
+            view, grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
+    store_vec4h(updates_out.previous, index, to_half(value))
     updates_out.guide[index] = wp.where(
         value[3] > 0.0, luminance(rgb(value), grid.luminance) * cosines[cell], UNKNOWN)
 
@@ -220,17 +229,21 @@ def count_history(
     slot = updates_out.slot[update]
     if slot < 0:
         return
-    view = views[0]
+    view = load_view(views)
     covered = int(0)
     total = float(0.0)
-    for cell in range(CELLS):
-        guide = updates_out.guide[update * CELLS + cell]
-        if guide >= 0.0:
-            covered = covered + 1
-            total = total + guide
-    for cell in range(CELLS):
-        if updates_out.guide[update * CELLS + cell] < 0.0:
-            updates_out.guide[update * CELLS + cell] = total / wp.max(float(covered), 1.0)
+    k = int(0)
+    while k < 8:
+        # Without branches, so that eight cells wait for memory together.
+        for i in range(8):
+            guide = updates_out.guide[update * CELLS + 8 * k + i]
+            covered = covered + wp.where(guide >= 0.0, 1, 0)
+            total = total + wp.where(guide >= 0.0, guide, 0.0)
+        k = k + 1
+    if covered < CELLS:
+        for cell in range(CELLS):
+            if updates_out.guide[update * CELLS + cell] < 0.0:
+                updates_out.guide[update * CELLS + cell] = total / wp.max(float(covered), 1.0)
     count = float(0.0)
     if updates_out.fresh[update] == 0:
         count = valid_count(view, pool, slot)

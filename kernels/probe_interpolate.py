@@ -13,14 +13,16 @@ import warp as wp
 from .gbuffer import GBuffer, Surface, has_surface, load_material, load_surface, plane_distance, view_direction
 from .geometry_math import luminance
 from .lobe_moments import reflection_lobe
-from .packed_halves import unpack_halves
-from .packing import rgb, to_half, unpack_floats, unpack_normal
-from .probe_gather import neighbour_tile
+from .packed_halves import unpack_pairs
+from .packing import rgb, to_half, unpack_normal
+from .probe_gather import in_tiles
 from .probe_map import CORRECTION_COSINE, COSINE_1, COSINE_2, cell_of, to_local
-from .probe_records import RECORD, RECORD_BANDS, WorldBands, world_basis
+from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER, RECORD_NORMAL, WorldBands, world_basis
 from .probe_spawn import SEPARATION, probe_cell
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .view import View
+from .wide_loads import load_piece, load_view
+from .wide_stores import store_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -30,6 +32,8 @@ REACH = wp.constant(8.5)
 WIDE_REACH = wp.constant(20.0)
 WIDEST = wp.constant(3)
 """Tiles to each side in which a pixel without any fitting probe looks for one"""
+WIDE_SIDE = wp.constant(7)
+"""Tiles from side to side"""
 
 # Least share of a white sky that the interpolated harmonics are taken to hold: bounds the normalisation.
 LEAST_SHARE = wp.constant(0.25)
@@ -123,47 +127,73 @@ def hidden(pool: ProbePool, slot: int, n: wp.vec3, offset: wp.vec3, distance: fl
 
 
 @wp.func
-def record_weight(records: wp.array[wp.uint64], base: int, pool: ProbePool, p: Place, reach: float) -> float:
-    """Return how well a recorded probe fits a pixel: near on the screen, on the same plane, with nothing between."""
-    film = unpack_floats(records[base])
-    w = wp.max(1.0 - wp.abs(film[0] - p.x) / reach, 0.0) * wp.max(1.0 - wp.abs(film[1] - p.y) / reach, 0.0)
+def record_weight(
+    records: wp.array[wp.uint64], base: int, film: wp.vec4ui, pool: ProbePool, p: Place, reach: float,
+) -> wp.vec4:
+    """Return how well a recorded probe fits a pixel: near on the screen, on the same plane, with nothing between.
+
+    In detail:
+        base: First piece of the record.
+        film: That piece.
+        returns: Weight; the probe's normal, valid where the weight is above 0.
+    """
+    none = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    w = wp.max(1.0 - wp.abs(wp.cast(film[0], float) - p.x) / reach, 0.0)
+    w = w * wp.max(1.0 - wp.abs(wp.cast(film[1], float) - p.y) / reach, 0.0)
     if w == 0.0:
-        return 0.0
-    xy = unpack_floats(records[base + 1])
-    zc = unpack_floats(records[base + 2])
-    facing = records[base + 3]
-    center = wp.vec3(xy[0], xy[1], zc[0])
-    n = unpack_normal(wp.uint32(facing & wp.uint64(0xFFFFFFFF)))
+        return none
+    place = load_piece(records, base + RECORD_CENTER)
+    rest = load_piece(records, base + RECORD_NORMAL)
+    center = wp.vec3(wp.cast(place[0], float), wp.cast(place[1], float), wp.cast(place[2], float))
+    n = wp.vec3(wp.cast(place[3], float), wp.cast(rest[0], float), wp.cast(rest[1], float))
     plane = wp.max(1.0 - plane_distance(p.surface, center) / p.cell, 0.0)
     cosine = wp.max(wp.dot(p.surface.geometric_normal, n), 0.0)
     if plane * cosine == 0.0:
-        return 0.0
+        return none
     offset = p.surface.position - center
     distance = wp.length(offset)
-    if SEPARATION * distance > zc[1] and distance >= 1.0e-9:
-        if hidden(pool, int(facing >> wp.uint64(32)), n, offset, distance):
-            return 0.0
+    if SEPARATION * distance > wp.cast(film[2], float) and distance >= 1.0e-9:
+        if hidden(pool, int(film[3]), n, offset, distance):
+            return none
     c2 = cosine * cosine
     c4 = c2 * c2
-    return w * plane * plane * c4 * c4
+    return wp.vec4(w * plane * plane * c4 * c4, n[0], n[1], n[2])
+
+
+@wp.func
+def record_normal(records: wp.array[wp.uint64], base: int) -> wp.vec3:
+    """Return the normal of a recorded probe."""
+    rest = load_piece(records, base + RECORD_NORMAL)
+    return wp.vec3(
+        wp.cast(load_piece(records, base + RECORD_CENTER)[3], float), wp.cast(rest[0], float), wp.cast(rest[1], float))
 
 
 @wp.func
 def add_record(
-    records: wp.array[wp.uint64], base: int, grid: ProbeGrid, p: Place, weight: float, total: Blend,
+    records: wp.array[wp.uint64], base: int, grid: ProbeGrid, p: Place, weight: float, n: wp.vec3, total: Blend,
 ) -> Blend:
-    """Add a recorded probe to weighted sums."""
-    n = unpack_normal(wp.uint32(records[base + 3] & wp.uint64(0xFFFFFFFF)))
+    """Add a recorded probe, whose normal is n, to weighted sums."""
     cosine = wp.dot(p.surface.normal, n)
-    mean = unpack_halves(records[base + RECORD_BANDS])
+    piece = load_piece(records, base + RECORD_BANDS)
+    mean = unpack_pairs(piece[0], piece[1])
+    c = unpack_pairs(piece[2], piece[3])
+    last = load_piece(records, base + RECORD_BANDS + 4)
     w = weight * mean[3]
     correction = wp.max(cosine - CORRECTION_COSINE, 0.0) / (1.0 - CORRECTION_COSINE)
-    light = rgb(unpack_halves(records[base + RECORD_BANDS + 9])) * correction + rgb(mean)
-    specular = luminance(rgb(mean), grid.luminance)
-    for k in range(1, 9):
-        c = unpack_halves(records[base + RECORD_BANDS + k])
-        light = light + rgb(c) * p.diffuse[k]
-        specular = specular + c[3] * p.lobe[k]
+    light = rgb(unpack_pairs(last[2], last[3])) * correction + rgb(mean)
+    light = light + rgb(c) * p.diffuse[1]
+    specular = luminance(rgb(mean), grid.luminance) + c[3] * p.lobe[1]
+    for k in range(1, 4):
+        piece = load_piece(records, base + RECORD_BANDS + k)
+        c = unpack_pairs(piece[0], piece[1])
+        light = light + rgb(c) * p.diffuse[2 * k]
+        specular = specular + c[3] * p.lobe[2 * k]
+        c = unpack_pairs(piece[2], piece[3])
+        light = light + rgb(c) * p.diffuse[2 * k + 1]
+        specular = specular + c[3] * p.lobe[2 * k + 1]
+    c = unpack_pairs(last[0], last[1])
+    light = light + rgb(c) * p.diffuse[8]
+    specular = specular + c[3] * p.lobe[8]
     share = float(1.0)
     specular_share = float(1.0)
     if grid.exact == 1:
@@ -183,19 +213,27 @@ def blend_around(
 ) -> Blend:
     """Return weighted sums over the fitting probes of the tiles around one."""
     total = empty_blend()
-    side = 2 * radius + 1
-    i = int(0)
-    while i < side * side:
-        other = neighbour_tile(grid, tile, i % side - radius, i // side - radius)
-        i = i + 1
-        if other >= 0:
-            base = other * (2 * RECORD)
-            w = record_weight(records, base, pool, p, reach)
-            if w == 0.0:
+    column = tile % grid.tile_columns
+    row = tile // grid.tile_columns
+    i = -radius
+    j = -radius
+    while j <= radius:
+        if in_tiles(grid, column + i, row + j):
+            base = ((row + j) * grid.tile_columns + column + i) * (2 * RECORD)
+            # Both are read before either is judged: they wait for memory together.
+            film = load_piece(records, base)
+            other = load_piece(records, base + RECORD)
+            found = record_weight(records, base, film, pool, p, reach)
+            if found[0] == 0.0:
                 base = base + RECORD
-                w = record_weight(records, base, pool, p, reach)
-            if w > 0.0:
-                total = add_record(records, base, grid, p, w, total)
+                found = record_weight(records, base, other, pool, p, reach)
+            if found[0] > 0.0:
+                total = add_record(
+                    records, base, grid, p, found[0], wp.vec3(found[1], found[2], found[3]), total)
+        i = i + 1
+        if i > radius:
+            i = -radius
+            j = j + 1
     return total
 
 
@@ -204,22 +242,26 @@ def nearest_tile(grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, s: Surface
     """Return the tile of the probe that fits best in the wider surroundings, however badly; -1: none."""
     best = int(-1)
     least = float(1.0e30)
-    side = 2 * WIDEST + 1
-    i = int(0)
-    while i < side * side:
-        other = neighbour_tile(grid, tile, i % side - WIDEST, i // side - WIDEST)
-        i = i + 1
-        if other >= 0:
+    column = tile % grid.tile_columns
+    row = tile // grid.tile_columns - WIDEST
+    last = row + 2 * WIDEST
+    while row <= last:
+        # Without branches, so that a row's probes wait for memory together.
+        for i in range(WIDE_SIDE):
+            across = column + i - WIDEST
+            there = in_tiles(grid, across, row)
+            other = wp.where(there, row * grid.tile_columns + across, tile)
             slot = tiles.probe[other]
-            if slot >= 0:
-                offset = pool.position[slot] - s.position
-                cosine = wp.dot(s.geometric_normal, unpack_normal(pool.normal[slot]))
-                # Off the plane counts more than along it: behind an edge lies another room.
-                badness = wp.length(offset) + 4.0 * wp.abs(wp.dot(s.geometric_normal, offset)) + 8.0 * cell * (
-                    1.0 - cosine)
-                if cosine > 0.0 and badness < least:
-                    least = badness
-                    best = other
+            known = wp.max(slot, 0)
+            offset = pool.position[known] - s.position
+            cosine = wp.dot(s.geometric_normal, unpack_normal(pool.normal[known]))
+            # Off the plane counts more than along it: behind an edge lies another room.
+            badness = wp.length(offset) + 4.0 * wp.abs(wp.dot(s.geometric_normal, offset)) + 8.0 * cell * (
+                1.0 - cosine)
+            better = there and slot >= 0 and cosine > 0.0 and badness < least
+            least = wp.where(better, badness, least)
+            best = wp.where(better, other, best)
+        row = row + 1
     return best
 
 
@@ -270,7 +312,7 @@ def interpolate_probes(
     if px >= grid.width or py >= grid.height:
         return
     pixel = py * grid.width + px
-    view = views[0]
+    view = load_view(views)
     s = load_surface(view, gbuffer, grid.width, pixel)
     if not has_surface(s):
         irradiance_out[pixel] = wp.vec4h(wp.float16(0.0), wp.float16(0.0), wp.float16(0.0), wp.float16(0.0))
@@ -278,7 +320,8 @@ def interpolate_probes(
         return
     p = place_of(view, grid, gbuffer, moments, s, pixel)
     total = blend_around(grid, records, pool, p, tile, 1, REACH)
-    irradiance_out[pixel] = diffuse_light(total, wp.where(total.share < LEAST_WEIGHT, UNFILLED, 1.0))
+    store_vec4h(
+        irradiance_out, pixel, diffuse_light(total, wp.where(total.share < LEAST_WEIGHT, UNFILLED, 1.0)))
     ratio_out[pixel] = specular_ratio(total, grid.luminance)
 
 
@@ -308,7 +351,7 @@ def fill_gaps(
         pixel = queue[i]
         i = i + stride
         if float(irradiance_out[pixel][3]) < 0.0:
-            view = views[0]
+            view = load_view(views)
             s = load_surface(view, gbuffer, grid.width, pixel)
             p = place_of(view, grid, gbuffer, moments, s, pixel)
             tile = (pixel // grid.width // TILE) * grid.tile_columns + pixel % grid.width // TILE
@@ -319,6 +362,7 @@ def fill_gaps(
                 nearest = nearest_tile(grid, pool, tiles, s, tile, p.cell)
                 total = empty_blend()
                 if nearest >= 0:
-                    total = add_record(records, nearest * (2 * RECORD), grid, p, 1.0, total)
+                    base = nearest * (2 * RECORD)
+                    total = add_record(records, base, grid, p, 1.0, record_normal(records, base), total)
             irradiance_out[pixel] = diffuse_light(total, confidence)
             ratio_out[pixel] = specular_ratio(total, grid.luminance)

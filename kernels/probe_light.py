@@ -11,13 +11,15 @@ import warp as wp
 
 from .geometry_math import to_frame
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
-from .probe_blend import counted_radiance
+from .probe_blend import UNCOUNTED, counted_radiance
 from .probe_gather import neighbour_tile, related_probe
-from .probe_map import band_weights, cell_center, cell_of, to_local
+from .probe_map import band_weight, cell_center, cell_of, to_local
 from .probe_rays import ProbeRays
 from .probe_spawn import probe_cell
 from .probe_types import BANDS, CELLS, FAR, NO_CELL, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project
+from .wide_loads import load_vec4h, load_view
+from .wide_stores import store_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -51,8 +53,9 @@ def find_neighbors(
     updates_out.neighbor[index] = -1
     if slot < 0 or i == 4:
         return
+    view = load_view(views)
     position = pool.position[slot]
-    width = probe_cell(views[0], project(views[0].camera, position)[2])
+    width = probe_cell(view, project(view.camera, position)[2])
     tile = neighbour_tile(grid, updates_out.tile[update], (i % 3 - 1) * grid.side, (i // 3 - 1) * grid.side)
     updates_out.neighbor[index] = related_probe(
         grid, pool, tiles, tile, position, unpack_normal(pool.normal[slot]), width)
@@ -76,7 +79,7 @@ def smooth_probes(
     slot = updates_out.slot[update]
     if slot < 0:
         return
-    own = from_half(pool.radiance[slot * CELLS + index % CELLS])
+    own = from_half(load_vec4h(pool.radiance, slot * CELLS + index % CELLS))
     total = rgb(own)
     weight = float(1.0)
     if grid.filtered == 1:
@@ -89,7 +92,7 @@ def smooth_probes(
             if other >= 0:
                 local = to_local(unpack_normal(pool.normal[other]), direction)
                 if local[2] > 0.0:
-                    value = from_half(pool.radiance[other * CELLS + cell_of(local)])
+                    value = from_half(load_vec4h(pool.radiance, other * CELLS + cell_of(local)))
                     near = wp.min(value[3], own[3])
                     seen = pool.position[other] + direction * near - position
                     if near >= FAR or wp.dot(seen, direction) > SMOOTH_COSINE * wp.length(seen):
@@ -100,7 +103,7 @@ def smooth_probes(
                         total = total + rgb(value) * w
                         weight = weight + w
             i = i + 1
-    updates_out.filtered[index] = to_half(rgba(total / weight, own[3]))
+    store_vec4h(updates_out.filtered, index, to_half(rgba(total / weight, own[3])))
 
 
 @wp.func
@@ -116,15 +119,19 @@ def missed_by_cells(
     """
     total = wp.vec3(0.0, 0.0, 0.0)
     normal = unpack_normal(updates.normal[update])
-    for ray in range(CELLS):
-        index = update * CELLS + ray
-        cell = int(updates.cell[index])
-        if cell != NO_CELL:
-            before = from_half(updates.previous[update * CELLS + cell])
-            if before[3] > 0.0:
-                exact = band_weights(to_local(normal, rays.direction[index]))
-                factor = (exact[band] - weights[cell * BANDS + band]) / updates.expected[update * CELLS + cell]
-                total = total + (counted_radiance(rays, index) - rgb(before)) * factor
+    k = int(0)
+    while k < 16:
+        # Without branches, so that four rays wait for memory together.
+        for i in range(4):
+            index = update * CELLS + 4 * k + i
+            cell = int(updates.cell[index])
+            known = wp.min(cell, CELLS - 1)
+            before = from_half(load_vec4h(updates.previous, update * CELLS + known))
+            counts = wp.where(cell == NO_CELL, UNCOUNTED, before[3])
+            exact = band_weight(to_local(normal, rays.direction[index]), band)
+            factor = (exact - weights[known * BANDS + band]) / updates.expected[update * CELLS + known]
+            total = total + (counted_radiance(rays, index) - rgb(before)) * wp.where(counts > 0.0, factor, 0.0)
+        k = k + 1
     return total
 
 
@@ -148,10 +155,14 @@ def project_bands(
         return
     total = wp.vec3(0.0, 0.0, 0.0)
     nearest = float(FAR)
-    for cell in range(CELLS):
-        value = from_half(updates.filtered[update * CELLS + cell])
-        total = total + rgb(value) * weights[cell * BANDS + band]
-        nearest = wp.min(nearest, value[3])
+    k = int(0)
+    while k < 8:
+        for i in range(8):
+            cell = 8 * k + i
+            value = from_half(load_vec4h(updates.filtered, update * CELLS + cell))
+            total = total + rgb(value) * weights[cell * BANDS + band]
+            nearest = wp.min(nearest, value[3])
+        k = k + 1
     if band == 0:
         pool_out.clear[slot] = nearest
     if grid.exact == 1:

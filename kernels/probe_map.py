@@ -125,6 +125,16 @@ def band_weights(d: wp.vec3) -> Bands:
     return weights
 
 
+@wp.func
+def band_weight(d: wp.vec3, band: int) -> float:
+    """Return one of band_weights, without an array that would lie in memory."""
+    weights = band_weights(d)
+    weight = weights[0]
+    for k in range(1, BANDS):
+        weight = wp.where(band == k, weights[k], weight)
+    return weight
+
+
 @wp.kernel
 def integrate_cells(
     # In:

@@ -2,7 +2,7 @@
 """Screen probes: what pixels need of a tile's probes, in few words that load at once.
 
 The light's harmonics are turned into world space here, once a probe, so that a pixel evaluates its basis once for all
-probes around it. Two records a tile (ProbeTiles.probe and .other) of 14 words of 8 bytes.
+probes around it. Two records a tile (ProbeTiles.probe and .other) of 128 bytes, a line of the cache each.
 """
 
 from __future__ import annotations
@@ -18,10 +18,13 @@ from .view import View, project
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-RECORD = wp.constant(14)
-"""Words: film position; centre x, y; centre z, clear distance; normal, slot; 10 bands (rgb, and luminance; in the
-first trust instead)"""
-RECORD_BANDS = wp.constant(4)
+RECORD = wp.constant(8)
+"""Pieces of 16 bytes: film position, clear distance, slot; centre, normal's x; normal's y, z; 10 bands (rgb, and
+luminance; in the first trust instead), two a piece"""
+RECORD_CENTER = wp.constant(1)
+RECORD_NORMAL = wp.constant(2)
+RECORD_BANDS = wp.constant(3)
+RECORD_WORDS = wp.constant(16)
 
 # Weight of a probe that holds the light from before an edit, beside others.
 OUTDATED_TRUST = wp.constant(0.01)
@@ -80,7 +83,7 @@ def record_probes(
 ):
     """Make the record of one of the two probes of a tile."""
     index = first + wp.tid()
-    base = index * RECORD
+    base = index * RECORD_WORDS
     slot = wp.where(index % 2 == 0, tiles.probe[index // 2], tiles.other[index // 2])
     if slot < 0:
         records_out[base] = pack_floats(OFF_FILM, OFF_FILM)
@@ -89,16 +92,18 @@ def record_probes(
     center = pool.center[slot]
     film = project(view.camera, center)
     records_out[base] = pack_floats(film[0], film[1])
-    records_out[base + 1] = pack_floats(center[0], center[1])
-    records_out[base + 2] = pack_floats(center[2], pool.clear[slot])
-    records_out[base + 3] = wp.uint64(pool.normal[slot]) | (wp.uint64(slot) << wp.uint64(32))
     n = unpack_normal(pool.normal[slot])
+    records_out[base + 1] = pack_floats(pool.clear[slot], wp.cast(slot, float))
+    records_out[base + 2] = pack_floats(center[0], center[1])
+    records_out[base + 3] = pack_floats(center[2], n[0])
+    records_out[base + 4] = pack_floats(n[1], n[2])
     red = world_coefficients(pool, slot, n, 0)
     green = world_coefficients(pool, slot, n, 1)
     blue = world_coefficients(pool, slot, n, 2)
     trust = wp.where(outdated(view, pool, slot), OUTDATED_TRUST, 1.0)
-    records_out[base + RECORD_BANDS] = pack_halves(wp.vec4(red[0], green[0], blue[0], trust))
+    bands = base + 2 * RECORD_BANDS
+    records_out[bands] = pack_halves(wp.vec4(red[0], green[0], blue[0], trust))
     for k in range(1, 9):
         c = wp.vec3(red[k], green[k], blue[k])
-        records_out[base + RECORD_BANDS + k] = pack_halves(rgba(c, luminance(c, grid.luminance)))
-    records_out[base + RECORD_BANDS + 9] = pack_halves(rgba(rgb(pool.irradiance[slot * BANDS + 9]), trust))
+        records_out[bands + k] = pack_halves(rgba(c, luminance(c, grid.luminance)))
+    records_out[bands + 9] = pack_halves(rgba(rgb(pool.irradiance[slot * BANDS + 9]), trust))

@@ -8,7 +8,7 @@ import warp as wp
 from .filter_weights import PixelPlane, pixel_plane, surface_weight, unit_normal
 from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .geometry_math import is_finite3, max_component, mean_component
-from .packed_halves import half_bits, high_half, low_half, pack_halves, unpack_halves
+from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
 from .packing import rgb, rgba
 from .reflection_types import (
     REFLECTANCE_MIN,
@@ -88,8 +88,7 @@ def pack_state(root: float, confidence: float, lobe: wp.uint32) -> wp.uint64:
 @wp.func
 def unpack_state(packed: wp.uint64) -> wp.vec2:
     """Return root mean square and confidence in a block's ReflectionLight.state."""
-    low = wp.uint32(packed & wp.uint64(0xFFFFFFFF))
-    return wp.vec2(low_half(low), high_half(low))
+    return unpack_pair(wp.uint32(packed & wp.uint64(0xFFFFFFFF)))
 
 
 @wp.func

@@ -36,6 +36,7 @@ from .reflection_blocks import (
 )
 from .reflection_types import SAMPLE_FAR, ReflectionOptions
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view
 
 # Fast: weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -135,7 +136,7 @@ def mark_samples(
     excess = wp.vec3(0.0, 0.0, 0.0)
     closeness = wp.vec2(light[3], wp.where(light[3] > 0.0, 1.0, 0.0))
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
-        centre = block_centre(views[0], gbuffer, options, blocks, state_lobe(state), block)
+        centre = block_centre(load_view(views), gbuffer, options, blocks, state_lobe(state), block)
         own = light_strength(rgb(light))
         rest = wp.min(views[0].rest, views[0].light_age)
         threshold = spark_threshold(own, rest)
@@ -225,7 +226,7 @@ def clean_samples(
                 mark = int(blocks.mark[q])
                 if (mark & MARK_SPARK) != 0 or (missing and (mark & MARK_MISSING) == 0):
                     if not made:
-                        centre = block_centre(views[0], gbuffer, options, blocks, state_lobe(words), block)
+                        centre = block_centre(load_view(views), gbuffer, options, blocks, state_lobe(words), block)
                         made = True
                     tap = filter_tap(options, blocks, lights, centre, column + i, row + j)
                     w = spread_weight(centre, tap, i, j)

@@ -24,6 +24,7 @@ from .view import (
     project,
     unproject,
 )
+from .wide_loads import load_previous_view, load_view
 
 # Pixels to either side between which curvature is measured, the least cosine of normals there, and by how much hollow
 # mirrors may stretch the motion of an image.
@@ -49,7 +50,7 @@ def mirror_before(
 ) -> MirrorBefore:
     """Return where a pixel's surface was; of one that has moved as the frame before shows it around its place."""
     out = MirrorBefore()
-    view = views[0]
+    view = load_previous_view(views)
     if (gbuffer.material[pixel] & SURFACE_MOVED) == wp.uint32(0):
         out.position = unproject(
             view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
@@ -86,7 +87,7 @@ def image_position(
     a mirror that has moved it was where the plane of then puts it: what is reflected is taken to stand still.
     """
     # Read where it is needed: held for long, its matrices would fill the registers.
-    view = views[0]
+    view = load_previous_view(views)
     x = pixel % width
     y = pixel // width
     point = unproject(view.camera, film_position(view, x, y), gbuffer.depth[pixel])
@@ -152,7 +153,7 @@ def image_stretch(
     The place of a reflection is where the way to what is reflected is shortest: the step to it is the way's slope by
     its second derivative along the surface, to which curvature adds (the mirror equation, for aslant views as well).
     """
-    view = views[0]
+    view = load_view(views)
     point = unproject(view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
     normal = unit_normal(gbuffer.normal[pixel])
     step = apart * (CURVATURE_PIXELS / wp.max(wp.length(apart), 1.0e-6))

@@ -14,13 +14,13 @@ import warp as wp
 from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_surface, view_direction
 from .geometry_math import is_finite3
 from .lobe_moments import fitted_albedo
-from .packed_halves import pack_halves, unpack_halves
-from .packing import from_half, pack_normal, rgb, rgba, unpack_floats, unpack_normal
+from .packed_halves import pack_halves, unpack_halves, unpack_pairs
+from .packing import from_half, pack_normal, rgb, rgba
 from .probe_gather import REAIM_COSINE, UNKNOWN, neighbour_tile
 from .probe_interpolate import REACH, Place, bare_place, record_weight
 from .probe_map import cell_of, hemisphere_to_square, to_local
 from .probe_rays import MISS_DISTANCE
-from .probe_records import RECORD, RECORD_BANDS
+from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER
 from .probe_types import CELLS, FAR, TILE, ProbeGrid, ProbePool
 from .reflection_rays import sequence_index, sequence_seed
 from .reflection_start import drawn_pdf
@@ -28,6 +28,7 @@ from .reflection_types import SAMPLE_FAR, SOURCE_PROBE, ReflectionOptions, Refle
 from .sampling import sample_pair
 from .specular_lobes import SpecularLobes, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .view import View
+from .wide_loads import load_piece, load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -136,32 +137,36 @@ def arriving_light(
         i = i + 1
         if other >= 0:
             base = other * (2 * RECORD)
-            w = record_weight(records, base, pool, p, REACH)
-            if w == 0.0:
+            # Both are read before either is judged: they wait for memory together.
+            film = load_piece(records, base)
+            second = load_piece(records, base + RECORD)
+            found = record_weight(records, base, film, pool, p, REACH)
+            if found[0] == 0.0:
                 base = base + RECORD
-                w = record_weight(records, base, pool, p, REACH)
-            if w > 0.0:
-                facing = records[base + 3]
-                n = unpack_normal(wp.uint32(facing & wp.uint64(0xFFFFFFFF)))
+                film = second
+                found = record_weight(records, base, film, pool, p, REACH)
+            if found[0] > 0.0:
+                n = wp.vec3(found[1], found[2], found[3])
                 local = to_local(n, direction)
                 if local[2] > 0.0:
-                    xy = unpack_floats(records[base + 1])
-                    center = wp.vec3(xy[0], xy[1], unpack_floats(records[base + 2])[0])
-                    w = w * unpack_halves(records[base + RECORD_BANDS])[3]
+                    place = load_piece(records, base + RECORD_CENTER)
+                    center = wp.vec3(wp.cast(place[0], float), wp.cast(place[1], float), wp.cast(place[2], float))
+                    bands = load_piece(records, base + RECORD_BANDS)
+                    w = found[0] * unpack_pairs(bands[0], bands[1])[3]
                     weight = weight + w
                     # One number chooses among all: what it has left of its range goes on to the next.
                     share = w / weight
                     if rest < share:
                         rest = rest / share
-                        chosen = int(facing >> wp.uint64(32))
+                        chosen = int(film[3])
                         offset = to_local(n, p.surface.position - center)
                         aim = local
                     else:
                         rest = (rest - share) / (1.0 - share)
     if chosen < 0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    found = aimed_value(maps, chosen, offset, aim)
-    return rgba(rgb(found), 1.0 / found[3])
+    light = aimed_value(maps, chosen, offset, aim)
+    return rgba(rgb(light), 1.0 / light[3])
 
 
 @wp.func
@@ -180,7 +185,7 @@ def demodulated(
     return factor
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=96)
 def look_up_probes(
     first: int,
     # In:
@@ -208,7 +213,7 @@ def look_up_probes(
         return
     place = int(samples_out.place[block])
     pixel = place_pixel(options, block, place)
-    view = views[0]
+    view = load_view(views)
     s = load_surface(view, gbuffer, options.width, pixel)
     m = load_material(gbuffer, pixel)
     lobes = specular_lobes(m, s, view_direction(view, s))

@@ -18,9 +18,11 @@ from .long_mean import (
     gather_mean,
     nearest_tap,
     off_centre,
+    place_between,
     surrounded,
+    tap_weights,
     unpack_mean,
-    usable_weight,
+    valid_tap,
 )
 from .packed_halves import unpack_halves
 from .packing import rgb
@@ -36,6 +38,7 @@ from .view import (
     project,
     unproject,
 )
+from .wide_loads import load_previous_view, load_word
 
 # Frames that the distance of what is reflected is averaged over at most.
 DISTANCE_FRAMES = wp.constant(8.0)
@@ -99,10 +102,10 @@ def with_reflection_state(m: ReflectionMean, state: wp.vec4) -> ReflectionMean:
 
 @wp.func
 def gather_reflection(
-    history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, sharp: bool, width: int,
+    history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, own: int, sharp: bool, width: int,
     height: int,
 ) -> ReflectionMean:
-    """Return the mean of the frame before at a place; its length is 0 where there is none."""
+    """Return the mean of the frame before at a place (for pixel `own`); its length is 0 where there is none."""
     m = no_reflection()
     if not off_centre(position):
         nearest = nearest_tap(position)
@@ -114,30 +117,31 @@ def gather_reflection(
                 m.changed = wp.where(found[0] < 0.0, 1, 0)
                 m.light = unpack_mean(history.light[pixel])
         return m
-    weights = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    place = place_between(position, width)
+    weights = tap_weights(place)
     state = wp.vec4(0.0, 0.0, 0.0, 0.0)
     total = float(0.0)
     changed = float(0.0)
     complete = sharp and int(taps) == ALL_TAPS
     for tap in range(4):
-        w = usable_weight(position, taps, tap)
-        if w > 0.0:
-            around = unpack_halves(history.state[tap_pixel(position, tap, width)])
-            if around[0] != 0.0:
-                if around[0] < 0.0:
-                    changed += w
-                    around[0] = -around[0]
-                weights[tap] = w
-                total += w
-                state += around * w
-            else:
-                complete = False
+        # All are read before any is judged: they wait for memory together.
+        around = unpack_halves(load_word(history.state, valid_tap(place, taps, tap, width, own)))
+        if not has_tap(taps, tap):
+            weights[tap] = 0.0
+        elif around[0] == 0.0:
+            complete = complete and weights[tap] == 0.0
+            weights[tap] = 0.0
+        elif around[0] < 0.0:
+            changed += weights[tap]
+            around[0] = -around[0]
+        total += weights[tap]
+        state += around * weights[tap]
     if total > TAP_MINIMUM:
         scale = 1.0 / total
         m = with_reflection_state(m, state * scale)
         m.changed = wp.where(changed > 0.25 * total, 1, 0)
-        wide = complete and surrounded(gbuffer, position, width, height)
-        m.light = gather_mean(history.light, position, weights * scale, complete, wide, width, height)
+        wide = complete and surrounded(gbuffer, place, width, height)
+        m.light = gather_mean(history.light, place, weights * scale, complete, wide, width, height)
     return m
 
 
@@ -153,7 +157,7 @@ def image_taps(
     pixel: int, position: wp.vec2,
 ) -> wp.uint8:
     """Return which of the four pixels around a place in the frame before show a surface like a pixel's."""
-    view = views[0]
+    view = load_previous_view(views)
     left = int(wp.floor(position[0] - 0.5))
     low = int(wp.floor(position[1] - 0.5))
     depth = project(view.previous, before.position)[2]
@@ -225,7 +229,7 @@ def gather_sources(
     if (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0) and (taps == wp.uint8(0) or not reflects):
         twofold = False
     sharp = roughness < SHARP_ROUGHNESS
-    surface = gather_reflection(history, previous, position, taps, sharp, width, options.height)
+    surface = gather_reflection(history, previous, position, taps, pixel, sharp, width, options.height)
     if not twofold:
         return surface
     closeness = light[3]
@@ -242,7 +246,7 @@ def gather_sources(
     taps = image_taps(views, gbuffer, previous, before, width, options.height, pixel, there)
     image = no_reflection()
     if taps != wp.uint8(0):
-        image = gather_reflection(history, previous, there, taps, sharp, width, options.height)
+        image = gather_reflection(history, previous, there, taps, pixel, sharp, width, options.height)
     if image.length <= 0.0:
         if reflects:
             # What is reflected has come into view: a mirror's surface showed something else where it was.

@@ -29,6 +29,7 @@ from .reflection_sources import (
 from .reflection_types import ReflectionOptions, fading, is_sampled
 from .reprojection import Reprojection
 from .view import SKY_DEPTH, View, settling_frames
+from .wide_loads import load_view
 
 # Fast: means and weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -192,14 +193,15 @@ def accumulate_reflections(
     m = no_reflection()
     material = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material):
-        view = views[0]
+        view = load_view(views)
+        roughness = filter_roughness(material)
         light = unpack_halves(lights.light[pixel])
         state = unpack_halves(lights.state[pixel])
         known = state[1] >= 0.0 and is_finite3(rgb(light))
         if view.restart == 0 and temporal == 1:
             m = gather_sources(
-                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, filter_roughness(material),
-                light, wp.where(known, state[0], 1.0e4))
+                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, roughness, light,
+                wp.where(known, state[0], 1.0e4))
         if view.light_age == 0:
             m.length = wp.min(m.length, EDIT_LENGTH)
         if known:
@@ -208,7 +210,7 @@ def accumulate_reflections(
             if not off_centre(reprojection.position[pixel]):
                 # Neither camera nor mirror moves: those take what is reflected along with its image.
                 if view.rest == 0 or (view.rest <= RENEWED_FRAMES and m.length > RENEWED_MINIMUM):
-                    m = renewed(m, light, filter_roughness(material))
+                    m = renewed(m, light, roughness)
             near = wp.clamp(1.0 - float(view.rest) / CLAMP_FRAMES, 0.0, 1.0)
             # Means of a few frames know no deviation to go by.
             near *= wp.clamp(m.length / KNOWN_FRAMES, 0.0, 1.0)

@@ -14,19 +14,7 @@ from .gbuffer import GBuffer, load_material
 from .geometry_math import sqr
 from .packed_halves import pack_halves
 from .packing import rgb, rgba
-from .reflection_atrous import (
-    EXPONENT_MAX,
-    WEIGHT_NONE,
-    FilterLobe,
-    FilterPass,
-    angle_of_pixel,
-    filter_lobe,
-    gaussian,
-    load_reflection,
-    load_root,
-    pass_sigma,
-    tap_weight,
-)
+from .reflection_atrous import EXPONENT_MAX, WEIGHT_NONE, gaussian, load_reflection, load_root, tap_weight
 from .reflection_blocks import (
     JITTER_MAX,
     JITTER_SHIFT,
@@ -41,9 +29,11 @@ from .reflection_blocks import (
     in_grid,
     light_strength,
 )
+from .reflection_lobe import FilterLobe, FilterPass, angle_of_pixel, filter_lobe, known_pass, pass_sigma
 from .reflection_types import ReflectionOptions, ReflectionSamples, block_of, is_sampled
 from .sampling import hash32, hash_combine, to_unit
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view
 
 # Fast: weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -127,26 +117,28 @@ def expanded(part: FilterPass, light: wp.vec4) -> wp.vec4:
 
 @wp.func
 def add_block(
-    sums: Upscaled, tap: FilterTap, value: wp.vec4, root: float, w: wp.vec2, distance: float,
+    sums: Upscaled, tap: FilterTap, known: bool, value: wp.vec4, root: float, w: wp.vec2, distance: float,
 ) -> Upscaled:
     """Return the sums after one block.
 
     In detail:
+        known: Whether its light means anything; else nothing is added.
         value: Its light.
         root: Root mean square of its strength.
         w: As tap_weight gives it.
         distance: Weight by the distance on the film.
     """
     out = sums
+    share = wp.where(known, distance, 0.0)
     apart = float(tap.dx * tap.dx + tap.dy * tap.dy) + wp.where(tap.near > 0.0, 0.0, OTHER_SURFACE)
-    if apart < sums.nearest_square:
+    if known and apart < sums.nearest_square:
         out.nearest_square = apart
         out.nearest = tap.block
-    weight = w[0] * distance
+    weight = wp.where(tap.near > 0.0, w[0] * share, 0.0)
     out.sum = sums.sum + value * weight
     out.total = sums.total + weight
-    out.confidence = wp.max(sums.confidence, w[1])
-    out.moments = sums.moments + wp.vec3(light_strength(rgb(value)), root * root, 1.0) * (distance * tap.near)
+    out.confidence = wp.max(sums.confidence, wp.where(known and tap.near > 0.0, w[1], 0.0))
+    out.moments = sums.moments + wp.vec3(light_strength(rgb(value)), root * root, 1.0) * (share * tap.near)
     return out
 
 
@@ -163,35 +155,18 @@ def around(part: FilterPass, moments: wp.vec3, light: wp.vec4) -> wp.vec2:
     return wp.vec2(deviation / sqr(rest), mean / rest)
 
 
-@wp.kernel(cuda_max_registers=80)
-def upscale_blocks(
-    first: int,
-    # In:
-    views: wp.array[View],
-    gbuffer: GBuffer,
-    options: ReflectionOptions,
-    part: FilterPass,
-    samples: ReflectionSamples,
-    blocks: ReflectionBlocks,
-    lights: ReflectionLight,
-    history: ReflectionHistory,
-    # Out:
+@wp.func
+def upscale_pixel(
+    views: wp.array[View], gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
+    blocks: ReflectionBlocks, lights: ReflectionLight, history: ReflectionHistory, pixel: int,
     lights_out: ReflectionLight,
 ):
-    """Filter the light of blocks into pixels; banded over pixels.
-
-    60 bytes a pixel that reflects: 44 read (surface and material 36, its share of the blocks 8; the taps are cached),
-    16 written; 16 more are read at rest. 9 taps.
-
-    In detail:
-        history: Of the frame before; at rest it tells how much blur is worth its error.
-    """
-    pixel = first + wp.tid()
+    """Filter the light of blocks into one pixel; as kernels below do with a band of them."""
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     state = wp.vec4(0.0, UNKNOWN, 0.0, 0.0)
     m = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, m):
-        view = views[0]
+        view = load_view(views)
         home = block_of(options, pixel)
         centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(m))
         lobe = filter_lobe(view, gbuffer, options, part, history, centre, float(blocks.closeness[home]))
@@ -218,12 +193,14 @@ def upscale_blocks(
                 tap_row += moved[1] + int(wp.floor(float(i) * right[1] + float(j) * right[0] + 0.5))
             if in_grid(options, tap_column, tap_row):
                 tap = filter_tap(options, blocks, lights, centre, tap_column, tap_row)
-                if tap.confidence >= 0.0:
+                # After other passes without a branch, so that all that is read of a tap is waited for together.
+                known = tap.confidence >= 0.0
+                if known or part.first == 0:
                     value = load_reflection(part, lights, tap.block)
                     w = wp.vec2(0.0, 0.0)
-                    if tap.near > 0.0:
+                    if tap.near > 0.0 or part.first == 0:
                         w = tap_weight(view, gbuffer, options, part, samples, centre, lobe, tap, value[3])
-                    found = add_block(found, tap, value, load_root(part, tap.root), w, gaussian(tap, sigma))
+                    found = add_block(found, tap, known, value, load_root(part, tap.root), w, gaussian(tap, sigma))
             i += 1
             if i > 1:
                 i = -1
@@ -241,3 +218,50 @@ def upscale_blocks(
         light = expanded(part, light)
     lights_out.light[pixel] = pack_halves(light)
     lights_out.state[pixel] = pack_halves(state)
+
+
+@wp.kernel(cuda_max_registers=80)
+def upscale_samples(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    options: ReflectionOptions,
+    part: FilterPass,
+    samples: ReflectionSamples,
+    blocks: ReflectionBlocks,
+    lights: ReflectionLight,
+    history: ReflectionHistory,
+    # Out:
+    lights_out: ReflectionLight,
+):
+    """Filter the light of blocks into pixels; banded over pixels.
+
+    60 bytes a pixel that reflects: 44 read (surface and material 36, its share of the blocks 8; the taps are cached),
+    16 written; 16 more are read at rest. 9 taps.
+
+    In detail:
+        history: Of the frame before; at rest it tells how much blur is worth its error.
+    """
+    upscale_pixel(
+        views, gbuffer, options, part, samples, blocks, lights, history, first + wp.tid(), lights_out)
+
+
+@wp.kernel(cuda_max_registers=64)
+def upscale_blocks(
+    first: int,
+    # In:
+    views: wp.array[View],
+    gbuffer: GBuffer,
+    options: ReflectionOptions,
+    part: FilterPass,
+    samples: ReflectionSamples,
+    blocks: ReflectionBlocks,
+    lights: ReflectionLight,
+    history: ReflectionHistory,
+    # Out:
+    lights_out: ReflectionLight,
+):
+    """Do the same after other passes that weigh by ratios."""
+    upscale_pixel(
+        views, gbuffer, options, known_pass(part, 0), samples, blocks, lights, history, first + wp.tid(), lights_out)

@@ -29,6 +29,8 @@ from .view import (
     project_direction,
     unproject,
 )
+from .wide_loads import load_previous_view
+from .wide_stores import store_vec2
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -93,7 +95,7 @@ def reproject(
 ):
     """Write a pixel's motion, its place in the frame before and the taps there that show the same surface."""
     pixel = first + wp.tid()
-    view = views[0]
+    view = load_previous_view(views)
     x = pixel % width
     y = pixel // width
     surface = load_surface(view, gbuffer_out, width, pixel)
@@ -116,7 +118,7 @@ def reproject(
         change = film_motion(now, project(view.previous, surface.position))
     if view.restart == 1:
         change = wp.vec2(0.0, 0.0)
-    gbuffer_out.motion[pixel] = change
+    store_vec2(gbuffer_out.motion, pixel, change)
     position = wp.vec2(
         float(x + view.camera.crop_x - view.previous.crop_x) + 0.5 - change[0],
         float(y + view.camera.crop_y - view.previous.crop_y) + 0.5 - change[1])
@@ -131,5 +133,5 @@ def reproject(
                 other = load_previous_surface(view, previous, width, tap_pixel(position, tap, width))
                 if same_surface(surface, other, tolerance):
                     taps = taps | (1 << tap)
-    reprojection_out.position[pixel] = position
+    store_vec2(reprojection_out.position, pixel, position)
     reprojection_out.taps[pixel] = wp.uint8(taps)

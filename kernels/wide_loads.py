@@ -18,9 +18,13 @@ from .types import Geometry, Instance, Material, TextureInfo
 from .view import View
 
 __all__ = [
-    "load_corner", "load_instance", "load_material_flags", "load_normal", "load_slot", "load_texture_info", "load_vec2",
-    "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view",
+    "PairOfWords", "load_corner", "load_eight_bytes", "load_four_floats", "load_instance", "load_material_flags",
+    "load_normal", "load_piece", "load_previous_view", "load_slot", "load_texture_info", "load_two_floats",
+    "load_two_words", "load_vec2", "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
 ]
+
+PairOfWords = wp.types.vector(length=2, dtype=wp.uint64)
+"""Neighbours in an array of words"""
 
 # Pieces are numbered from the row's begin.
 _VECTOR_16 = """
@@ -75,6 +79,75 @@ def load_vec4h(rows: wp.array[wp.vec4h], index: int) -> wp.vec4h:
 @wp.func_native(_VECTOR_8)
 def load_vec4us(rows: wp.array[wp.vec4us], index: int) -> wp.vec4us:
     """Return rows[index]."""
+    ...
+
+
+# Neighbours: one address for all, which Warp computes anew for each element.
+_NEIGHBORS = """
+    const auto* p = rows.data + index;
+#ifdef __CUDA_ARCH__
+    return TYPE(LOADS);
+#else
+    return TYPE(VALUES);
+#endif
+"""
+
+
+def _neighbors(vector: str, count: int) -> str:
+    loads = ", ".join(f"__ldg(p + {i})" for i in range(count))
+    values = ", ".join(f"p[{i}]" for i in range(count))
+    return _NEIGHBORS.replace("TYPE", vector).replace("LOADS", loads).replace("VALUES", values)
+
+
+@wp.func_native(_neighbors("wp::vec_t<2, wp::uint64>", 2))
+def load_two_words(rows: wp.array[wp.uint64], index: int) -> PairOfWords:
+    """Return rows[index] and the one behind it; need not begin at an even index."""
+    ...
+
+
+@wp.func_native("""
+#ifdef __CUDA_ARCH__
+    const uint4 w = __ldg(reinterpret_cast<const uint4*>(rows.data) + piece);
+    return wp::vec_t<4, wp::uint32>(w.x, w.y, w.z, w.w);
+#else
+    const wp::uint32* w = reinterpret_cast<const wp::uint32*>(rows.data) + 4 * piece;
+    return wp::vec_t<4, wp::uint32>(w[0], w[1], w[2], w[3]);
+#endif
+""")
+def load_piece(rows: wp.array[wp.uint64], piece: int) -> wp.vec4ui:
+    """Return words 2 * piece and 2 * piece + 1 as four halves of them, the lower ones first."""
+    ...
+
+
+@wp.func_native("""
+#ifdef __CUDA_ARCH__
+    return __ldg(reinterpret_cast<const unsigned long long*>(rows.data) + piece);
+#else
+    wp::uint64 w;
+    memcpy(&w, rows.data + 8 * piece, sizeof(w));
+    return w;
+#endif
+""")
+def load_eight_bytes(rows: wp.array[wp.uint8], piece: int) -> wp.uint64:
+    """Return rows[8 * piece] and the seven behind it, the first in the lowest bits."""
+    ...
+
+
+@wp.func_native(_neighbors("wp::uint64", 1))
+def load_word(rows: wp.array[wp.uint64], index: int) -> wp.uint64:
+    """Return rows[index]."""
+    ...
+
+
+@wp.func_native(_neighbors("wp::vec_t<2, float>", 2))
+def load_two_floats(rows: wp.array[float], index: int) -> wp.vec2:
+    """Return rows[index] and the one behind it; need not begin at an even index."""
+    ...
+
+
+@wp.func_native(_neighbors("wp::vec_t<4, float>", 4))
+def load_four_floats(rows: wp.array[float], index: int) -> wp.vec4:
+    """Return rows[index] and the three behind it; may begin anywhere."""
     ...
 
 
@@ -229,4 +302,34 @@ def load_view(rows: wp.array[View]) -> View:
     view.restart = ages[3]
     view.exposure = rows[0].exposure
     view.transparent = rows[0].transparent
+    return view
+
+
+@wp.func
+def joined_rows(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4) -> wp.mat44:
+    """Return an affine matrix that begins in the middle of a piece."""
+    return wp.mat44(
+        a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3], d[0], d[1], 0.0, 0.0, 0.0, 1.0)
+
+
+@wp.func
+def load_previous_view(rows: wp.array[View]) -> View:
+    """Return the same as load_view and the camera of the frame before: its matrices, window and size."""
+    view = load_view(rows)
+    frame = view.previous
+    frame.camera_to_world = joined_rows(
+        view_floats(rows, 0, 13), view_floats(rows, 0, 14), view_floats(rows, 0, 15), view_floats(rows, 0, 16))
+    frame.world_to_camera = joined_rows(
+        view_floats(rows, 0, 17), view_floats(rows, 0, 18), view_floats(rows, 0, 19), view_floats(rows, 0, 20))
+    low = view_floats(rows, 0, 21)
+    high = view_floats(rows, 0, 22)
+    frame.window = wp.vec4(low[2], low[3], high[0], high[1])
+    frame.orthographic = view_ints(rows, 0, 22)[2]
+    size = view_ints(rows, 0, 24)
+    crop = view_ints(rows, 0, 25)
+    frame.width = size[2]
+    frame.height = size[3]
+    frame.crop_x = crop[0]
+    frame.crop_y = crop[1]
+    view.previous = frame
     return view

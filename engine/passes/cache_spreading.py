@@ -12,10 +12,15 @@ from ...kernels.hash_grid import HashGrid
 from ...kernels.paths import Paths
 from ..frame_graph import FrameGraph
 
-__all__ = ["SWEEPS", "record_spreading"]
+__all__ = ["SWEEPS", "light_sweeps", "record_spreading"]
 
 SWEEPS = 6
 """Times that light goes on from cell to cell in a frame while it spreads: what is left after them the balance mends"""
+
+
+def light_sweeps(frame: int, light_age: int) -> bool:
+    """Tell whether light goes on from cell to cell within a frame, as cache_spread.sweeping does (View's counters)."""
+    return min(light_age, frame) < float(cache_spread.SWEEP_FRAMES)
 
 
 def record_spreading(
@@ -34,7 +39,7 @@ def record_spreading(
         count: Probe rays: slots before those of the bounce rays.
         bounces: Slots of bounce rays.
         sample_cap: Most samples that a cell averages over while something moves.
-        all_bounces: Whether cells light each other.
+        all_bounces: Whether cells light each other, and in frames that may sweep at all (light_sweeps).
     """
     graph.launch(cache_spread.balance_bounces, bounces, [views], [grid, control, vertices], banded=False)
     graph.launch(cache_spread.measure_balance, 1, [views, 0], [control], banded=False)

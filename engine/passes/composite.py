@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels import antialias, composite, composite_debug
-from ...kernels.antialias import Accumulation, ColorWords
+from ...kernels.antialias import Accumulation
 from ...kernels.composite import LightPasses, Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_types import ReflectionOptions
@@ -143,7 +143,7 @@ class CompositePass:
         graph.launch(
             antialias.antialias, count,
             [views, color.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps, before,
-             before.color.view(ColorWords), self.width, self.height, int(self.settings.antialiasing)],
+             self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color
 

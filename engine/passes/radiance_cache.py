@@ -221,7 +221,7 @@ class RadianceCachePass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
-        world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
+        world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (), sweeping: bool = True,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -242,6 +242,7 @@ class RadianceCachePass:
             world: The world's radiance by texels, where it is known (DeviceScene.world_texels).
             started: Whether record_start has been called, as it must be before anything makes cells.
             after: Branches of the graph that add cells and samples.
+            sweeping: Whether light may spread within these frames (light_sweeps).
         """
         self._all_lean, self._lean_layers = all_lean, lean_layers
         self._world = self._zeros(1, wp.vec3) if world is None else world
@@ -268,7 +269,7 @@ class RadianceCachePass:
             self._record_materials(graph, scene, views, count, self.bounces, threshold)
             self._record_insertion(graph, views, count, self.bounces)
         self._record_lights(graph, scene, views, programs)
-        self._record_cells(graph, views, rays, after)
+        self._record_cells(graph, views, rays, after, sweeping)
 
     def record_start(self, graph: FrameGraph, views: wp.array) -> None:
         """Record making room for a frame's cells; a frame that goes on with `record`."""
@@ -350,7 +351,9 @@ class RadianceCachePass:
                 graph.fill_list(compaction.append_pending_shadows, total, [self.paths], self.left)
                 graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [self.paths])
 
-    def _record_cells(self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...]) -> None:
+    def _record_cells(
+        self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], sweeping: bool,
+    ) -> None:
         """Record taking the light into the cells, and the answer."""
         grid, control, settings = self.grid, self.control, self.settings
         with graph.section("Cache cells"):
@@ -364,7 +367,7 @@ class RadianceCachePass:
             if self.bounces > 0:
                 record_spreading(
                     graph, views, grid, control, self.paths, self.vertices, self.count, self.bounces,
-                    float(settings.sample_cap), all_bounces=settings.bounces != 2)
+                    float(settings.sample_cap), all_bounces=sweeping and settings.bounces != 2)
             graph.launch(
                 cache_cells.accumulate_light, self.count + self.bounces,
                 [views, self.paths, self.vertices, self.count], [grid], banded=False)

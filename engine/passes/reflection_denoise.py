@@ -17,8 +17,8 @@ from ...kernels import (
     reflection_upscale,
 )
 from ...kernels.gbuffer import GBuffer
-from ...kernels.reflection_atrous import FilterPass
 from ...kernels.reflection_blocks import ReflectionBlocks, ReflectionHistory, ReflectionLight
+from ...kernels.reflection_lobe import FilterPass
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
@@ -148,12 +148,14 @@ class ReflectionDenoisePass:
         before = self.history.previous(parity)
         *inner, last = filter_passes(self.settings, self.stride, self.lobe, jitter)
         for part in inner:
+            kernel = reflection_atrous.filter_samples if part.first else reflection_atrous.filter_blocks
             graph.launch(
-                reflection_atrous.filter_blocks, count,
+                kernel if part.ratio else reflection_atrous.filter_published, count,
                 [views, gbuffer, options, part, samples, self.blocks, source, before], [target])
             source, target = target, source
+        later = not last.first and last.ratio
         graph.launch(
-            reflection_upscale.upscale_blocks, pixels,
+            reflection_upscale.upscale_blocks if later else reflection_upscale.upscale_samples, pixels,
             [views, gbuffer, options, last, samples, self.blocks, source, before], [self.filtered])
         history = self.history.current(parity)
         graph.launch(

@@ -110,7 +110,8 @@ class ScreenProbePass:
         self.specular_ratio = wp.zeros(width * height, dtype=wp.float16, device=self.device)
         """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w])"""
         self.unfilled = make_work_list(width * height, self.device)
-        self.records = wp.zeros(2 * self.tile_count * int(probe_records.RECORD), dtype=wp.uint64, device=self.device)
+        self.records = wp.zeros(
+            2 * self.tile_count * int(probe_records.RECORD_WORDS), dtype=wp.uint64, device=self.device)
         self.moments = lobe_moments(self.device)
         self.contact = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
         self.weights = wp.zeros(CELLS * BANDS, dtype=float, device=self.device)

@@ -93,7 +93,7 @@ def test_branches_do_not_race():
     made.configure(settings, scenes.camera_above(3.0, 1.5, orthographic=False), 24, 16)
     made.step(4)
     graphs = made._realtime.pipeline._graphs
-    assert {resting for _, resting in graphs} == {False, True}
+    assert {resting for _, resting, _ in graphs} == {False, True}
     cells = frozenset(addresses([made._realtime.pipeline.cache.grid]))
     for graph, *_ in graphs.values():
         sections = {step.section for step in graph._steps}

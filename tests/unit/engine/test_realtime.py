@@ -53,7 +53,8 @@ def session(settings=REALTIME, delta=None):
 def graphs_of(made):
     """Return the recorded frames."""
     graphs = made._realtime.pipeline._graphs
-    return [graphs.get((parity, resting)) for resting in (False, True) for parity in (0, 1)]
+    return [graphs.get((parity, resting, sweeping)) for sweeping in (False, True) for resting in (False, True)
+            for parity in (0, 1)]
 
 
 def test_replay_with_another_camera():

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import warp as wp
+from burnish.engine.passes.cache_spreading import SWEEPS
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import MaterialData, SceneDelta, WorldData
 from burnish.engine.session import Session
 from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
+from burnish.kernels.cache_spread import SWEEP_FRAMES
 
 from tests import scenes
 from tests.glossy_scenes import glass, glossy, metal
@@ -125,7 +127,7 @@ def edit(made, delta):
 
 def recorded(made):
     """Return the names of all kernels and sections with launches in the recorded frames of motion."""
-    steps = [step for (_, resting), (graph, *_) in made._realtime.pipeline._graphs.items() if not resting
+    steps = [step for (_, resting, _), (graph, *_) in made._realtime.pipeline._graphs.items() if not resting
              for step in graph._steps if step.launches]
     assert len(steps) > 40
     return {step.kernel for step in steps}, {step.section for step in steps}
@@ -204,7 +206,7 @@ def test_matte_scenes_have_fewer_launches():
     everything = room(glass(0.0))
     everything.materials["floor"] = scenes.transparent(0.3, "GLOSSY", color=0.5, roughness=0.2)
     counts = [
-        len([step for step in open_session(delta)._realtime.pipeline._graphs[0, False][0]._steps if step.launches])
+        sum(bool(step.launches) for step in open_session(delta)._realtime.pipeline._graphs[0, False, True][0]._steps)
         for delta in (room(lights=()), everything)]
     assert counts[0] < 0.5 * counts[1], counts
 
@@ -240,6 +242,23 @@ def test_frames_at_rest_are_the_only_ones_to_gather():
     """Record the final gather for frames at rest alone."""
     made = open_session(room())
     graphs = made._realtime.pipeline._graphs
-    for (_, resting), (graph, *_) in graphs.items():
+    for (_, resting, _), (graph, *_) in graphs.items():
         assert any(step.section.startswith("Final gather") for step in graph._steps) == resting
-    assert {resting for _, resting in graphs} == {False, True}
+    assert {resting for _, resting, _ in graphs} == {False, True}
+
+
+def test_light_sweeps_only_after_edits():
+    """Record sweeps of light from cell to cell for the first frames, and for those after an edit of the light."""
+    made = open_session(room())
+    pipeline = made._realtime.pipeline
+
+    def sweeps():
+        return sum(kernel == "spread_cells" for _, kernel in pipeline.launches())
+
+    assert sweeps() == SWEEPS
+    for frame in range(int(SWEEP_FRAMES)):
+        made.configure(SETTINGS, look_at((0.3 + 0.01 * frame, -2.6, 1.6), (0.0, 0.0, 0.4), SIZE, 1.0), *SIZE)
+        made.step(1)
+    assert sweeps() == 0
+    edit(made, SceneDelta(lights=(replace(LAMP, color=(30.0, 30.0, 30.0)),)))
+    assert sweeps() == SWEEPS

@@ -11,7 +11,7 @@ import warp as wp
 from burnish.engine.pixel_filter import filter_table
 from burnish.engine.settings import PixelFilter
 from burnish.kernels import antialias, debug_colors
-from burnish.kernels.antialias import Accumulation, ColorWords
+from burnish.kernels.antialias import Accumulation
 from burnish.kernels.view import View
 
 W, H = 48, 32
@@ -64,7 +64,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [old, old.color.view(ColorWords), W, H, enabled]
+        inputs += [old, W, H, enabled]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
@@ -262,3 +262,24 @@ def test_debug_colors_tell_numbers_apart(device):
     assert (np.diff(luminance[inside]) > 0.0).all() and (heat[998] == 0.0).all() and (heat[999] == 1.0).all()
     assert signed[0, 2] > signed[0, 0] and signed[997, 0] > signed[997, 2]
     assert (hashed[0] == 0.0).all() and len(np.unique(hashed[1:].round(3), axis=0)) > 980
+
+
+@wp.kernel
+def resampling_weights(places: wp.array[float], weights_out: wp.array2d[float]):
+    """Write the six weights at places between taps."""
+    i = wp.tid()
+    weights = antialias.kernel_weights(places[i])
+    for k in range(6):
+        weights_out[i, k] = weights[k]
+
+
+def test_weights_of_the_resampling_kernel():
+    """0.8 Lanczos-3 + 0.2 Catmull-Rom, to the rounding of a few operations; at the taps' own places too."""
+    places = np.concatenate([np.linspace(0.0, 1.0, 1001), [1e-6, 0.029, 0.031, 1.0 - 1e-6]]).astype(np.float32)
+    found = wp.zeros((len(places), 6), dtype=float, device="cpu")
+    wp.launch(resampling_weights, len(places), [wp.array(places, dtype=float, device="cpu")], [found], device="cpu")
+    d = np.abs(np.arange(-2, 4)[None] - places[:, None].astype(float))
+    cubic = np.where(d < 1.0, (1.5 * d - 2.5) * d * d + 1.0, ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0) * (d < 2.0)
+    expected = 0.2 * cubic + 0.8 * np.sinc(d) * np.sinc(d / 3.0) * (d < 3.0)
+    expected /= expected.sum(1, keepdims=True)
+    assert np.abs(found.numpy() - expected).max() < 2e-6

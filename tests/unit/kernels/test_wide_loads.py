@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tests of kernels/wide_loads.py: loads by pieces return what loads by name do."""
+"""Tests of kernels/wide_loads.py and wide_stores.py: loads by pieces return what loads by name do, stores arrive."""
 
 from __future__ import annotations
 
@@ -10,16 +10,24 @@ from burnish.kernels.types import Geometry, Instance, Material, TextureInfo
 from burnish.kernels.view import View
 from burnish.kernels.wide_loads import (
     load_corner,
+    load_eight_bytes,
+    load_four_floats,
     load_instance,
     load_material_flags,
     load_normal,
+    load_piece,
+    load_previous_view,
     load_slot,
     load_texture_info,
+    load_two_floats,
+    load_two_words,
     load_vec2,
     load_vec4h,
     load_vec4us,
     load_view,
+    load_word,
 )
+from burnish.kernels.wide_stores import store_vec2, store_vec4, store_vec4h
 
 wp.set_module_options({"enable_backward": False})
 
@@ -121,5 +129,74 @@ def test_vectors(device: str) -> None:
         geometry, wp.array(halves, dtype=wp.vec4h, device=device), wp.array(shorts, dtype=wp.vec4us, device=device),
         *outs], device=device)
     expected = (halves, shorts, uvs, corners.reshape(-1, 4)[:, :3], np.arange(COUNT))
+    for out, values in zip(outs, expected, strict=True):
+        assert (out.numpy() == values).all()
+
+
+@wp.kernel
+def copy_previous(views: wp.array[View], views_out: wp.array[View]):
+    """Copy a view with the camera of the frame before."""
+    views_out[0] = load_previous_view(views)
+
+
+@pytest.mark.parametrize("device", ["cpu", *(["cuda:0"] if wp.get_cuda_device_count() else [])])
+def test_previous_view(device: str) -> None:
+    """The camera of the frame before begins in the middle of a piece."""
+    rows = _random_rows(View, 1)
+    for name in ("camera_to_world", "world_to_camera"):
+        for camera in ("camera", "previous"):
+            rows[camera][name][:, 3] = (0.0, 0.0, 0.0, 1.0)
+    out = wp.zeros(1, dtype=View, device=device)
+    wp.launch(copy_previous, 1, [wp.array(rows, dtype=View, device=device), out], device=device)
+    names = ["camera_to_world", "world_to_camera", "window", "orthographic", "width", "height", "crop_x", "crop_y"]
+    for camera in ("camera", "previous"):
+        assert _fields(out.numpy()[camera], names) == _fields(rows[camera], names)
+    assert out.numpy()["frame"] == rows["frame"]
+
+
+@wp.kernel
+def copy_neighbors(
+    words: wp.array[wp.uint64], floats: wp.array[float], small: wp.array[wp.uint8], words_out: wp.array[wp.uint64],
+    floats_out: wp.array[float], packed_out: wp.array[wp.uint64], pieces_out: wp.array[wp.vec4ui],
+    two_out: wp.array[wp.vec2], four_out: wp.array[wp.vec4], halves_out: wp.array[wp.vec4h],
+):
+    """Copy what lies side by side by the loads under test, and store vectors."""
+    i = wp.tid()
+    two = load_two_words(words, i)
+    words_out[3 * i] = two[0]
+    words_out[3 * i + 1] = two[1]
+    words_out[3 * i + 2] = load_word(words, i)
+    near = load_two_floats(floats, i)
+    far = load_four_floats(floats, i)
+    for k in range(2):
+        floats_out[6 * i + k] = near[k]
+    for k in range(4):
+        floats_out[6 * i + 2 + k] = far[k]
+    packed_out[i] = load_eight_bytes(small, i)
+    pieces_out[i] = load_piece(words, i)
+    store_vec2(two_out, i, near)
+    store_vec4(four_out, i, far)
+    store_vec4h(halves_out, i, wp.vec4h(
+        wp.float16(far[0]), wp.float16(far[1]), wp.float16(far[2]), wp.float16(far[3])))
+
+
+@pytest.mark.parametrize("device", ["cpu", *(["cuda:0"] if wp.get_cuda_device_count() else [])])
+def test_neighbors_and_stores(device: str) -> None:
+    """Neighbours arrive wherever they begin, and vectors where they are stored."""
+    random = np.random.default_rng(2)
+    words = random.integers(0, 1 << 63, 2 * COUNT).astype(np.uint64)
+    floats = random.normal(size=COUNT + 3).astype(np.float32)
+    small = random.integers(0, 256, 8 * COUNT).astype(np.uint8)
+    types = ((3 * COUNT, wp.uint64), (6 * COUNT, float), (COUNT, wp.uint64), (COUNT, wp.vec4ui), (COUNT, wp.vec2),
+             (COUNT, wp.vec4), (COUNT, wp.vec4h))
+    outs = [wp.zeros(count, dtype=dtype, device=device) for count, dtype in types]
+    inputs = [wp.array(values, dtype=dtype, device=device) for values, dtype in (
+        (words, wp.uint64), (floats, float), (small, wp.uint8))]
+    wp.launch(copy_neighbors, COUNT, [*inputs, *outs], device=device)
+    i = np.arange(COUNT)[:, None]
+    far = floats[i + np.arange(4)]
+    expected = (
+        words[i + [[0, 1, 0]]].ravel(), np.hstack([far[:, :2], far]).ravel(), small.view(np.uint64),
+        words.view(np.uint32).reshape(-1, 4), far[:, :2], far, far.astype(np.float16))
     for out, values in zip(outs, expected, strict=True):
         assert (out.numpy() == values).all()
