@@ -392,7 +392,7 @@ class Session:
         options.filtered = int(self._scene.structures.has_filtered)
         options.programs = int(self._scene.has_light_programs)
         lean = self._scene.material_table.lean
-        options.all_lean, options.lean_layers = int(lean.surface), int(lean.transparency)
+        options.all_lean, options.all_plain, options.lean_layers = lean.surface, lean.plain, lean.transparency
         return options
 
     def _memory(self) -> int:

@@ -73,6 +73,7 @@ from ..kernels import (
     probe_spawn,
     reference,
     reference_lean,
+    reference_plain,
     reflection_atrous,
     reflection_blocks,
     reflection_choice,
@@ -120,6 +121,7 @@ KERNEL_MODULES = (
     reflection_start, reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale,
     reflection_temporal, reflection_lean, reflection_refract, gather_start, gather_further, reflection_tail,
     reflection_materials, denoise_guides, denoise_guides_lean, reference_lean,
+    reference_plain,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

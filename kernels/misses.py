@@ -81,7 +81,7 @@ def shade_misses(
 ):
     """Add the lamps that rays meet, add the world to the paths that leave the scene and end them, play roulette.
 
-    Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials need the full node machine.
+    Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials are not lean.
     """
     i = wp.tid()
     while i < count[0]:

@@ -17,10 +17,13 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Lists, by their place among the counts. Living paths take turns in two.
 LIVING = wp.constant(0)
-FULL_HITS = wp.constant(2)
-LAYERED = wp.constant(3)
-LAYERED_SHADOWS = wp.constant(4)
-LIST_COUNT = wp.constant(5)
+MORE_HITS = wp.constant(2)
+"""Hits whose materials shade_lean_paths leaves"""
+FULL_HITS = wp.constant(3)
+"""Those of them that shade_plain_paths leaves"""
+LAYERED = wp.constant(4)
+LAYERED_SHADOWS = wp.constant(5)
+LIST_COUNT = wp.constant(6)
 
 
 @wp.kernel

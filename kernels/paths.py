@@ -42,6 +42,8 @@ class Options:
     """1: lights may be programs (textured emitters, a world that varies)"""
     all_lean: int
     """1: the lean node machine runs all surface programs"""
+    all_plain: int
+    """1: it runs those with glass in them too, if there are any"""
     lean_layers: int
     """1: it runs all transparency programs"""
 

@@ -165,6 +165,6 @@ def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     steps = [*hit_steps(slot, scene, options), Step(denoise_guides.show_misses, [options.exposure]),
              Step(denoise_guides_lean.find_lean_surfaces, limits)]
     if not options.all_lean:
-        steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
-                  Step(denoise_guides.find_surfaces, limits, over="full_hits")]
-    return [*steps, Step(path_lists.list_living, [slot.paths.state], fills="next", changes=False)]
+        steps += [Step(materials.evaluate_materials, [scene], over="more_hits"),
+                  Step(denoise_guides.find_surfaces, limits, over="more_hits")]
+    return [*steps, Step(path_lists.list_living, [slot.paths.state], fills=("next",), changes=False)]

@@ -25,6 +25,7 @@ from ...kernels import (
     path_lists,
     reference,
     reference_lean,
+    reference_plain,
     shadow_layers,
     shadow_layers_lean,
     shadow_lights,
@@ -230,32 +231,34 @@ class ReferencePass:
 def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return what finds the paths' hits, adds the world and plays roulette, and lists what needs the full machine."""
     if is_flat(scene):
-        steps = [Step(flat_paths.trace_flat_paths, [scene, options.filtered], fills="layered")]
+        steps = [Step(flat_paths.trace_flat_paths, [scene, options.filtered], fills=("layered",))]
     else:
         steps = [Step(tracing.trace_paths, [scene])]
         if options.filtered == 1:
             steps += [Step(tracing.trace_layers, [scene]),
-                      Step(path_lists.list_layered, [slot.paths], fills="layered", changes=False)]
+                      Step(path_lists.list_layered, [slot.paths], fills=("layered",), changes=False)]
     if options.filtered == 1:
         steps.append(Step(layers_lean.filter_paths_lean if options.lean_layers else layers.filter_paths, [scene],
                           over="layered"))
-    return [*steps, Step(misses.shade_misses, [scene, options], fills="full_hits")]
+    return [*steps, Step(misses.shade_misses, [scene, options], fills=("more_hits",))]
 
 
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return one segment of every path: the path tracer's table of contents."""
     shadows, shading = [scene, options, slot.rounds], [slot.frame, scene, options]
-    steps = [*hit_steps(slot, scene, options), Step(reference_lean.shade_lean_paths, shading, fills="next")]
+    steps = [*hit_steps(slot, scene, options), Step(reference_lean.shade_lean_paths, shading, fills=("next",))]
     if not options.all_lean:
+        steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
+    if not options.all_plain:
         steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
-                  Step(reference.shade_paths, shading, over="full_hits", fills="next")]
+                  Step(reference.shade_paths, shading, over="full_hits", fills=("next",))]
     if is_flat(scene):
-        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills="layered_shadows"))
+        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills=("layered_shadows",)))
     else:
         steps.append(Step(tracing.trace_shadows, shadows))
         if options.filtered == 1:
             steps += [Step(tracing.trace_shadow_layers, shadows),
-                      Step(path_lists.list_layered_shadows, [slot.paths], fills="layered_shadows", changes=False)]
+                      Step(path_lists.list_layered_shadows, [slot.paths], fills=("layered_shadows",), changes=False)]
     if options.filtered == 1:
         weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays
         steps.append(Step(weaken, shadows, over="layered_shadows"))

@@ -24,7 +24,7 @@ from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE
 
 __all__ = ["Step", "Wavefront", "make_paths"]
 
-LISTS = {"full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
+LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
          "layered_shadows": path_lists.LAYERED_SHADOWS}
 """Beside "living", the list of each round"""
 
@@ -37,8 +37,8 @@ class Step:
     inputs: list
     over: str = "living"
     """List of the paths it works on"""
-    fills: str = ""
-    """List that it adds to; "next": the paths of the next round"""
+    fills: tuple[str, ...] = ()
+    """Lists that it adds to; "next": the paths of the next round"""
     changes: bool = True
     """Whether it changes the paths: they come before the list then, among its outputs"""
 
@@ -175,8 +175,8 @@ class Wavefront:
             if self.cuda:
                 threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
             outputs = [self.paths] if step.changes else []
-            if step.fills:
-                filled = int(places[step.fills])
+            for name in step.fills:
+                filled = int(places[name])
                 outputs += [self._queue(filled), self._counts[filled : filled + 1]]
             commands.append(record(
                 step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,

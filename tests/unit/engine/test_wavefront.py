@@ -98,7 +98,7 @@ def test_loops_end(limit):
 
     def steps():
         return [Step(live_on, [limits, front.rounds]),
-                Step(path_lists.list_living, [front.paths.state], fills="next", changes=False)]
+                Step(path_lists.list_living, [front.paths.state], fills=("next",), changes=False)]
 
     for _ in range(2):
         front.forget_rays()
