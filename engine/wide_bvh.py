@@ -22,7 +22,12 @@ RADIUS = 16
 """Places along the curve to each side among which a cluster looks for its neighbor"""
 
 SLOW = 16
-"""When less than one in so many clusters finds a partner, neighbors on the curve are merged next, as they come"""
+"""A round is slow when less than one in so many clusters finds a partner"""
+
+PATIENCE = 128
+"""Slow rounds after which, following each further one, neighbors on the curve are merged as they come. That bounds the
+rounds where each cluster holds the one before, but spoils the uppermost levels, through which all rays go: rooms within
+rooms have about 110 slow rounds, which take little time, as few clusters are left by then"""
 
 MAX_TRIANGLES = (2**31 - 1) // 18
 """Of a binary tree's nodes, twice as many, each has nine values in an array that is indexed by int32"""
@@ -84,11 +89,12 @@ def build_wide(points: wp.array, indices: wp.array) -> WideBvh:
             "keep; let objects share their meshes, or hide some")
     lower, upper = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
     launch(kernels.triangle_bounds, count, [points, indices], [lower, upper], device)
-    nodes, items, levels = _collapse(_cluster(lower, upper, RADIUS), count)
-    if len(levels) > MAX_DEPTH:
-        # Sizes that grow from triangle to triangle may make a chain. Pairs along the curve make a tree of at most as
-        # many levels as the count has bits.
-        nodes, items, levels = _collapse(_cluster(lower, upper, 0), count)
+    # Sizes that grow from triangle to triangle may make a chain, shorter without patience. Pairs along the curve make a
+    # tree of at most as many levels as the count has bits.
+    for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
+        nodes, items, levels = _collapse(_cluster(lower, upper, radius, patience), count)
+        if len(levels) <= MAX_DEPTH:
+            break
     triangles = wp.empty(TRIANGLE_WORDS * count, dtype=wp.uint32, device=device)
     launch(kernels.write_triangles, count, [points, indices, items], [triangles], device)
     return WideBvh(nodes, triangles, levels)
@@ -103,8 +109,8 @@ def _launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outpu
         for start in range(first, first + count, size)])
 
 
-def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int) -> _Binary:
-    """Return the tree that clustering makes over boxes."""
+def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: int) -> _Binary:
+    """Return the tree that clustering makes over boxes; for radius and patience see RADIUS and PATIENCE."""
     device, count = item_lower.device.alias, len(item_lower)
     total = 2 * count - 1
     low = item_lower.numpy().min(0)
@@ -121,7 +127,7 @@ def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int) -> _Binary
         [codes, clusters, children], device)
     wp.utils.radix_sort_pairs(codes, clusters, count)
     neighbor, following, kept, merged = (wp.empty(count, dtype=int, device=device) for _ in range(4))
-    batches, first, reach = [(0, count)], count, radius
+    batches, first, reach, slow = [(0, count)], count, radius, 0
     while count > 1:
         _launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, lower, upper], [neighbor])
         launch(cluster_tree.mark_merged, count, [neighbor], [kept, merged], device)
@@ -131,7 +137,8 @@ def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int) -> _Binary
                [following, children, lower, upper], device)
         made = int(merged[count - 1:count].numpy()[0])
         batches.append((first, made))
-        reach = 0 if made * SLOW < count else radius
+        slow += made * SLOW < count
+        reach = 0 if made * SLOW < count and slow > patience else radius
         clusters, following, count, first = following, clusters, count - made, first + made
     return _Binary(children, lower, upper, batches)
 

@@ -262,15 +262,16 @@ def test_chains_of_growing_triangles_stay_shallow(device: str, monkeypatch: pyte
     monkeypatch.setattr(wp, "launch", lambda kernel, *rest, **more: (
         rounds.append(kernel) if kernel is find else None, launch(kernel, *rest, **more))[1])
     both = Both(corners, device)
-    assert len(rounds) < 60
+    assert len(rounds) < wide_bvh.PATIENCE + 60
     assert len(both.wide.levels) <= wide_bvh.MAX_DEPTH
     _, face, _, mesh_face, _ = both.follow(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1e5]]),
                                            np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
     np.testing.assert_array_equal(face, mesh_face)
 
 
-def test_trees_too_deep_are_built_by_halves(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fall back to the tree of neighbors along the curve, with the same hits, where clustering makes too deep a one."""
+@pytest.mark.parametrize("too_deep", [1, 2])
+def test_trees_too_deep_are_built_otherwise(device: str, too_deep: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fall back to less patience, then to the tree of neighbors along the curve, with the same hits."""
     origin, direction = np.random.default_rng(2).random((1000, 3)) * 10, directions(1000)
     usual = Both(soup(1000), device)
     expected = usual.follow(origin, direction)[1]
@@ -279,8 +280,8 @@ def test_trees_too_deep_are_built_by_halves(device: str, monkeypatch: pytest.Mon
     def deep(tree: object, count: int) -> tuple:
         nodes, items, levels = collapse(tree, count)
         calls.append(len(levels))
-        return nodes, items, levels if len(calls) > 1 else [(0, 1)] * (wide_bvh.MAX_DEPTH + 1)
+        return nodes, items, levels if len(calls) > too_deep else [(0, 1)] * (wide_bvh.MAX_DEPTH + 1)
 
     monkeypatch.setattr(wide_bvh, "_collapse", deep)
     np.testing.assert_array_equal(Both(soup(1000), device).follow(origin, direction)[1], expected)
-    assert len(calls) == 2
+    assert len(calls) == too_deep + 1
