@@ -18,7 +18,7 @@ from typing import Any
 from ..engine.errors import BurnishError
 from ..engine.report import Report
 from ..engine.scene import SceneDelta
-from ..engine.settings import Change, RenderSettings
+from ..engine.settings import RenderSettings
 from .builds import build_kernels, open_session
 from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
@@ -38,8 +38,6 @@ SETTLE_SECONDS = 0.3
 """Time without any change after which real-time frames go from the size for navigation to the full one."""
 SHOWN_FRAMES = 32
 """Frames at rest that are all shown; later ones differ too little."""
-RECORDED_FRAMES = 2
-"""Real-time frames after a change of size that say nothing about the speed: even and odd ones record their launches."""
 TIMING_SECONDS = 1.0
 """Time between two real-time frames whose sections are measured: that makes a frame slower."""
 
@@ -91,7 +89,8 @@ class ViewportWorker:
         self._rendered_level = -1
         self._changed_at = 0.0
         self._timed_at = 0.0
-        self._unmeasured = 0
+        self._recorded = True
+        """Whether the last step recorded launches, too slow to tell the speed of those that follow."""
         self._picture_serial = 0
         self._published_at = 0.0
         self._publish_cost = 0.0
@@ -282,11 +281,9 @@ class ViewportWorker:
         last_level = self._level == len(self._levels) - 1
         session = self._session
         crop = None if request.crop is None else divided_crop(request.crop, divider)
-        change = session.configure(request.settings, request.camera, divided_size(request.width, divider),
-                                   divided_size(request.height, divider), crop)
-        if change & Change.RESIZE:
-            self._unmeasured = RECORDED_FRAMES
-        before = session.samples_done
+        session.configure(request.settings, request.camera, divided_size(request.width, divider),
+                          divided_size(request.height, divider), crop)
+        before, records = session.samples_done, records_of(session)
         pixels = self._pixels(request, divider)
         timed = self._timing_due(request)
         count = self._count(request, pixels, before) if last_level and not timed else 1
@@ -299,7 +296,8 @@ class ViewportWorker:
         if done <= before:
             return
         self._rendered_level = self._level
-        if not timed and not self._starting(request):
+        self._recorded = records_of(session) != records
+        if not timed and not self._recorded:
             self._control.record(pixels, done - before, time.perf_counter() - start)
         limit = request.settings.sampling.viewport_samples
         finished = last_level and limit > 0 and done >= limit
@@ -318,18 +316,12 @@ class ViewportWorker:
         limit = request.settings.sampling.viewport_samples
         return min(count, max(1, limit - before)) if limit > 0 else count
 
-    def _starting(self, request: ViewRequest) -> bool:
-        """Tell whether this step also recorded its launches: too slow to tell the speed of those that follow."""
-        starting = real_time(request) and self._unmeasured > 0
-        self._unmeasured -= int(starting)
-        return starting
-
     def _may_refine(self, request: ViewRequest) -> bool:
         return not real_time(request) or time.perf_counter() - self._changed_at >= SETTLE_SECONDS
 
     def _timing_due(self, request: ViewRequest) -> bool:
         now = time.perf_counter()
-        if not real_time(request) or self._unmeasured > 0 or now - self._timed_at < TIMING_SECONDS:
+        if not real_time(request) or self._recorded or now - self._timed_at < TIMING_SECONDS:
             return False
         self._timed_at = now
         return True
@@ -357,6 +349,11 @@ class ViewportWorker:
         if not transparent:
             return self._reader.packed(picture, width, height)
         return display_pixels(self._session.read("Combined"), transparent)
+
+
+def records_of(session: Any) -> int:
+    """Return how many real-time frames of a session were recorded so far, see Pipeline.records."""
+    return 0 if session.pipeline is None else session.pipeline.records
 
 
 def frame_figures(session: Any, timed: bool) -> dict[str, dict]:

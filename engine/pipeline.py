@@ -61,6 +61,8 @@ class Pipeline:
         self._settings: RenderSettings | None = None
         self._graphs: dict[tuple[int, bool, bool], tuple[FrameGraph, wp.array, list]] = {}
         self._recorded_for = b""
+        self.records = 0
+        """Frames that were recorded so far: such a frame takes longer than those that follow"""
         self._picture: wp.array | None = None
         self._split_for = None
         self._debug: tuple | None = None
@@ -143,6 +145,7 @@ class Pipeline:
                light_sweeps(views.frame, views.light_age))
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
+            self.records += 1
         graph, self._picture, self._recorded = self._graphs[key]
         self._parity, self._graph = views.parity, graph
         graph.replay(timed)

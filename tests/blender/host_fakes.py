@@ -47,6 +47,7 @@ class FakeSession:
         self.updates = []
         self._config = None
         self.was_timed, self.resets, self.steps = False, 0, []
+        self.pipeline = SimpleNamespace(records=0)
         FakeSession.opened.append(self)
 
     def fail(self, where):

@@ -74,6 +74,26 @@ def make_worker():
         assert worker.join(WAIT)
 
 
+def test_frames_that_are_recorded_tell_no_speed(make_worker):
+    """Take the speed from frames that only replay their launches, wherever among them one is recorded anew."""
+
+    class Recording(fakes.FakeSession):
+        """Records the third frame and the fourth, which take long."""
+
+        def step(self, samples=1, should_stop=None):
+            slow = len(self.steps) in (2, 3)
+            fakes.FakeSession.step_seconds = 0.1 if slow else 0.0
+            self.pipeline.records += int(slow)
+            return super().step(samples, should_stop)
+
+    worker = make_worker(Recording)
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(frames(samples=6))
+    until(lambda: fakes.FakeSession.opened and len(fakes.FakeSession.opened[-1].steps) >= 6)
+    until(lambda: worker._control.seconds_per_sample is not None)
+    assert worker._control.seconds_per_sample * 64 * 36 < 0.05
+
+
 def test_refines_from_coarse_to_full_and_rests(make_worker):
     """Go from coarse to full resolution, stop at the sample limit, and then do nothing."""
     worker = make_worker()
