@@ -22,6 +22,7 @@ from .fresnel import f0_from_ior, fresnel_dielectric, ior_from_f0, schlick_weigh
 from .geometry_math import safe_sqrt, sqr
 from .ggx import ggx_lambda, reflect_about, refract_about, sample_ggx_normal
 from .types import Tables
+from .wide_loads import load_slab_square, load_square
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -278,20 +279,22 @@ def look_up_2d(table: wp.array2d[float], y: float, x: float, count: int) -> floa
     """Interpolate table[y, x]."""
     cx = cell_of(x, count)
     cy = cell_of(y, count)
-    i = int(cx[0])
-    j = int(cy[0])
-    low = wp.lerp(table[j, i], table[j, i + 1], cx[1])
-    high = wp.lerp(table[j + 1, i], table[j + 1, i + 1], cx[1])
-    return wp.lerp(low, high, cy[1])
+    t = load_square(table, int(cy[0]), int(cx[0]), count)
+    return wp.lerp(wp.lerp(t[0], t[1], cx[1]), wp.lerp(t[2], t[3], cx[1]), cy[1])
 
 
 @wp.func
 def look_up_3d(table: wp.array3d[float], z: float, y: float, x: float) -> float:
     """Interpolate table[z, y, x]."""
+    cx = cell_of(x, GLASS_NODES)
+    cy = cell_of(y, GLASS_NODES)
     cz = cell_of(z, GLASS_NODES)
-    k = int(cz[0])
-    low = look_up_2d(table[k], y, x, GLASS_NODES)
-    return wp.lerp(low, look_up_2d(table[k + 1], y, x, GLASS_NODES), cz[1])
+    slab = int(cz[0])
+    s = load_slab_square(table, slab, int(cy[0]), int(cx[0]), GLASS_NODES)
+    t = load_slab_square(table, slab + 1, int(cy[0]), int(cx[0]), GLASS_NODES)
+    low = wp.lerp(wp.lerp(s[0], s[1], cx[1]), wp.lerp(s[2], s[3], cx[1]), cy[1])
+    high = wp.lerp(wp.lerp(t[0], t[1], cx[1]), wp.lerp(t[2], t[3], cx[1]), cy[1])
+    return wp.lerp(low, high, cz[1])
 
 
 @wp.func

@@ -40,7 +40,7 @@ def store_miss(
     vertices.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def evaluate_cache_lean(
     first: int,
     # In:

@@ -36,8 +36,9 @@ from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
 from .terminator import smooth_surface_offset
 from .types import Scene, ShadingPoint
 from .view import View
+from .wide_loads import load_view
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func
@@ -98,7 +99,7 @@ def aim_shadow_rays(
 ):
     """Set up the shadow ray of each pixel that has a sample, and write its light as if nothing were in the way."""
     slot = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     rays_out.shadow_distance[slot] = 0.0
     pixel = pixel_of_slot(view, options, slot)
     if pixel < 0 or not has_sample(view, options, slot):

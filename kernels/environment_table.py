@@ -12,6 +12,7 @@ import warp as wp
 from .geometry_math import PI, TWO_PI, safe_sqrt
 from .sampling import BELOW_ONE
 from .types import Environment
+from .wide_loads import load_float
 
 
 @wp.func
@@ -56,12 +57,21 @@ def first_above(sums: wp.array[float], first: int, count: int, u: float) -> int:
     """Return which of `count` running sums from `first` on is the first above u, the last one if none is."""
     low = int(0)
     high = int(count - 1)
+    # Quarters, not halves: each step waits for its loads, however many they are.
     while low < high:
-        middle = (low + high) // 2
-        if sums[first + middle] > u:
-            high = middle
+        span = high - low
+        middle = low + span // 2
+        before = low + span // 4
+        behind = low + (3 * span) // 4
+        above_before = load_float(sums, first + before) > u
+        above_middle = load_float(sums, first + middle) > u
+        above_behind = load_float(sums, first + behind) > u
+        if above_middle:
+            low = wp.where(above_before, low, before + 1)
+            high = wp.where(above_before, before, middle)
         else:
-            low = middle + 1
+            low = wp.where(above_behind, middle + 1, behind + 1)
+            high = wp.where(above_behind, behind, high)
     return low
 
 

@@ -105,6 +105,8 @@ def pass_layer(
     """Take a layer's transparency in and go on to the next one: a step of filter.transmittance."""
     out = walk
     point = layer_point(scene, walk.hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
+    # A constant for compilers, which leave out what only widths need.
+    point.footprint = 0.0
     out.weight = wp.cw_mul(walk.weight, lean_transparency(scene, point, VISIBLE_SHADOW))
     if max_component(out.weight) <= 0.0:
         out.state = WALK_STOPPED

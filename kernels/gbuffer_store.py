@@ -49,8 +49,8 @@ def finite_or_zero(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> float:
-    """Return the squared change of the interpolated normal over a vector in the triangle's plane."""
+def normal_change(geometry: Geometry, point: ShadingPoint, right: wp.vec3, up: wp.vec3) -> float:
+    """Return the sum of the squared changes of the interpolated normal over two vectors in the triangle's plane."""
     instance = load_instance(geometry.instances, point.instance)
     n0 = wp.normalize(transform_normal(instance.to_object, load_normal(geometry, point.triangle, 0)))
     n1 = wp.normalize(transform_normal(instance.to_object, load_normal(geometry, point.triangle, 1)))
@@ -67,12 +67,17 @@ def normal_change(geometry: Geometry, point: ShadingPoint, offset: wp.vec3) -> f
     a = wp.dot(world1, world1)
     b = wp.dot(world1, world2)
     c = wp.dot(world2, world2)
-    x = wp.dot(world1, offset) * scale
-    y = wp.dot(world2, offset) * scale
     determinant = wp.max(a * c - b * b, 1.0e-12)
+    x = wp.dot(world1, right) * scale
+    y = wp.dot(world2, right) * scale
     du = (c * x - b * y) / determinant
     dv = (a * y - b * x) / determinant
-    return wp.length_sq((n1 - n0) * du + (n2 - n0) * dv)
+    change = wp.length_sq((n1 - n0) * du + (n2 - n0) * dv)
+    x = wp.dot(world1, up) * scale
+    y = wp.dot(world2, up) * scale
+    du = (c * x - b * y) / determinant
+    dv = (a * y - b * x) / determinant
+    return change + wp.length_sq((n1 - n0) * du + (n2 - n0) * dv)
 
 
 @wp.func
@@ -86,7 +91,7 @@ def widening(frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: f
     cosine = wp.max(wp.dot(point.wo, n), COSINE_MIN)
     right = right - point.wo * (wp.dot(right, n) / cosine)
     up = up - point.wo * (wp.dot(up, n) / cosine)
-    change = normal_change(geometry, point, right) + normal_change(geometry, point, up)
+    change = normal_change(geometry, point, right, up)
     if not wp.isfinite(change):
         return 0.0
     return wp.min(2.0 * FILTER_VARIANCE * change, WIDENING_MAX)

@@ -17,7 +17,7 @@ import warp as wp
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
 from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, Scene, ShadingPoint
 from .wide_bvh import any_wide, closest_wide
-from .wide_loads import load_corner, load_instance, load_normal, load_slot
+from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
 
 # Nothing was hit.
 MISS = wp.constant(-1)
@@ -220,14 +220,15 @@ def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
 @wp.func
 def triangle_material(scene: Scene, instance: int, triangle: int) -> int:
     """Return the material of an instance's triangle."""
-    slot = wp.min(scene.geometry.slots[triangle], scene.geometry.instances[instance].material_count - 1)
-    return scene.materials.instance_materials[scene.geometry.instances[instance].material_offset + slot]
+    row = load_instance(scene.geometry.instances, instance)
+    slot = wp.min(load_slot(scene.geometry, triangle), row.material_count - 1)
+    return scene.materials.instance_materials[row.material_offset + slot]
 
 
 @wp.func
 def may_emit(scene: Scene, material: int) -> bool:
     """Return whether a material has a program that emits."""
-    return (scene.materials.materials[material].flags & MATERIAL_EMISSION) != 0
+    return (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_EMISSION) != 0
 
 
 @wp.func

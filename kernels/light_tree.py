@@ -8,6 +8,7 @@ import warp as wp
 from .geometry_math import safe_sqrt
 from .sampling import BELOW_ONE, fraction
 from .types import LightTree
+from .wide_loads import load_vec4
 
 # A light below this share of its sibling's importance is still chosen now and then: bounds are not the light.
 LEAST_CHANCE = wp.constant(1.0e-4)
@@ -56,8 +57,8 @@ def node_importance(tree: LightTree, node: int, position: wp.vec3, normal: wp.ve
     It is weighed by the cosine at the receiver, of which a share is kept above the horizon: shading normals differ
     from `normal`, and shine does not fall with the cosine.
     """
-    low = tree.low[node]
-    high = tree.high[node]
+    low = load_vec4(tree.low, node)
+    high = load_vec4(tree.high, node)
     cosine = facing(low, high, position, normal)
     if cosine <= 0.0:
         return 0.0

@@ -10,8 +10,8 @@ from __future__ import annotations
 import warp as wp
 
 from .environment_table import environment_pdf, sample_environment
-from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt
-from .intersect import hit_error, instance_shift, world_vertex
+from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt, transform_point
+from .intersect import hit_error, instance_shift
 from .lamp_hit import FAR, one_minus_cos_of_sphere, spot_attenuation, spread_attenuation
 from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import BELOW_ONE, sample_cone, sample_disk, sample_sphere, sample_triangle
@@ -28,6 +28,7 @@ from .types import (
     Lights,
     Scene,
 )
+from .wide_loads import load_corner, load_instance
 
 
 @wp.struct
@@ -202,12 +203,11 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
     face = scene.lights.triangles[emitter]
     s.instance = face[0]
     s.triangle = face[1]
-    s.visibility = geometry.instances[s.instance].visibility
-    to_world = geometry.instances[s.instance].to_world
-    vertices = geometry.triangles[s.triangle]
-    p0 = world_vertex(geometry, to_world, vertices[0])
-    p1 = world_vertex(geometry, to_world, vertices[1])
-    p2 = world_vertex(geometry, to_world, vertices[2])
+    instance = load_instance(geometry.instances, s.instance)
+    s.visibility = instance.visibility
+    p0 = transform_point(instance.to_world, load_corner(geometry, s.triangle, 0))
+    p1 = transform_point(instance.to_world, load_corner(geometry, s.triangle, 1))
+    p2 = transform_point(instance.to_world, load_corner(geometry, s.triangle, 2))
     b = sample_triangle(u)
     s.u = b[0]
     s.v = b[1]
@@ -246,7 +246,7 @@ def sun_counts(light: Light, normal: wp.vec3) -> float:
 def class_weight(lights: Lights, index: int, normal: wp.vec3) -> float:
     """Return the weight of a class of lights for a receiver: its probability but for suns below the horizon."""
     weight = lights.weight[index]
-    if index > 0 and index != lights.environment_class:
+    if index > 0 and index != lights.environment_class and weight > 0.0:
         weight = weight * sun_counts(lights.lamps[lights.local_lamp_count + index - 1], normal)
     return weight
 
@@ -262,6 +262,14 @@ def class_total(lights: Lights, normal: wp.vec3) -> float:
 
 @wp.func
 def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, refill: float) -> LightSample:
+    """Choose one light and draw a direction to it, see sample_light_of."""
+    return sample_light_of(scene, class_total(scene.lights, normal), position, normal, u, refill)
+
+
+@wp.func
+def sample_light_of(
+    scene: Scene, total: float, position: wp.vec3, normal: wp.vec3, u: wp.vec2, refill: float,
+) -> LightSample:
     """Choose one light and draw a direction to it; pdf includes the choice.
 
     The first number picks the class, what is left of it the light, and what is then left places the direction with
@@ -269,6 +277,7 @@ def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, r
 
     Args:
         scene: The scene.
+        total: What class_total returns for `normal`.
         position: Where light arrives.
         normal: Of the surface there if light from behind it is lost, else zero.
         u: In [0, 1)^2.
@@ -277,7 +286,6 @@ def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, r
     lights = scene.lights
     s = LightSample()
     s.kind = -1
-    total = class_total(lights, normal)
     if total <= 0.0:
         return s
     chosen = int(0)
@@ -349,14 +357,13 @@ def emitter_pdf(
     first = lights.emitter_offset[instance]
     if first < 0:
         return 0.0
-    emitter = lights.emitter_index[first + triangle - geometry.instances[instance].triangle_offset]
+    row = load_instance(geometry.instances, instance)
+    emitter = lights.emitter_index[first + triangle - row.triangle_offset]
     if emitter < 0:
         return 0.0
-    to_world = geometry.instances[instance].to_world
-    vertices = geometry.triangles[triangle]
-    p0 = world_vertex(geometry, to_world, vertices[0])
-    p1 = world_vertex(geometry, to_world, vertices[1])
-    p2 = world_vertex(geometry, to_world, vertices[2])
+    p0 = transform_point(row.to_world, load_corner(geometry, triangle, 0))
+    p1 = transform_point(row.to_world, load_corner(geometry, triangle, 1))
+    p2 = transform_point(row.to_world, load_corner(geometry, triangle, 2))
     double_area_normal = wp.cross(p1 - p0, p2 - p0)
     projected = 0.5 * wp.abs(wp.dot(double_area_normal, direction))
     if projected <= 0.0:

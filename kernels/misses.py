@@ -66,7 +66,7 @@ def add_world(scene: Scene, options: Options, paths: Paths, path: int, bounce: i
         paths.environment[path] = radiance
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def shade_misses(
     # In:
     scene: Scene,

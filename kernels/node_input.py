@@ -61,9 +61,12 @@ def uv_coordinate(scene: Scene, point: ShadingPoint, instance: Instance, uv_map:
     uv = load_vec2(scene.geometry.uvs, base)
     a = load_vec2(scene.geometry.uvs, base + 1) - uv
     b = load_vec2(scene.geometry.uvs, base + 2) - uv
-    normal = wp.cross(world_edge(scene, instance, point.triangle, 1), world_edge(scene, instance, point.triangle, 2))
-    uv_area = wp.abs(a[0] * b[1] - a[1] * b[0])
-    width = point.footprint * wp.sqrt(uv_area / wp.max(wp.length(normal), 1.0e-30))
+    width = float(0.0)
+    if point.footprint > 0.0:
+        normal = wp.cross(
+            world_edge(scene, instance, point.triangle, 1), world_edge(scene, instance, point.triangle, 2))
+        uv_area = wp.abs(a[0] * b[1] - a[1] * b[0])
+        width = point.footprint * wp.sqrt(uv_area / wp.max(wp.length(normal), 1.0e-30))
     uv = uv + a * point.u + b * point.v
     return wp.vec4(uv[0], uv[1], 0.0, width)
 

@@ -14,7 +14,7 @@ from . import node_codes as codes
 from .geometry_math import normalize_or, sqr
 from .layering import add_dielectric, add_diffuse, add_metal, prepare_bsdf
 from .lobe_setup import unit_normal
-from .node_closure import argument, xyz
+from .node_closure import xyz
 from .node_input import attribute_value, uv_coordinate
 from .node_math import safe_divide
 from .node_normal import normal_map
@@ -28,6 +28,8 @@ from .wide_loads import load_instance, load_vec4, load_vec4i
 __all__ = ["LeanClosure", "LeanSurface", "lean_bsdf", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
 
 LEAN_REGISTERS = wp.constant(8)
+LeanRegisters = wp.types.matrix(shape=(8, 4), dtype=float)
+"""Not an array: that would keep its address, shape and strides in memory too, and twice. Functions would copy it."""
 
 
 @wp.struct
@@ -143,7 +145,7 @@ def lean_transform(scene: Scene, sub: int, row: int, a: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def lean_value(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b: wp.vec4, c: wp.vec4) -> wp.vec4:
+def plain_value(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b: wp.vec4, c: wp.vec4) -> wp.vec4:
     """Evaluate one instruction that writes a register, normal maps excepted."""
     op = word[0] & 255
     sub = (word[0] >> 16) & 65535
@@ -164,11 +166,36 @@ def lean_value(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b:
 
 
 @wp.func
-def fetch_lean(scene: Scene, registers: wp.array[wp.vec4], operand: int) -> wp.vec4:
-    """Return an operand (see node_closure.fetch); immediates that are read as one do no harm."""
+def lean_value(scene: Scene, point: ShadingPoint, word: wp.vec4i, a: wp.vec4, b: wp.vec4, c: wp.vec4) -> wp.vec4:
+    """Evaluate one instruction that writes a register."""
+    if (word[0] & 255) == codes.OP_NORMAL_MAP:
+        n = normal_map(
+            scene, point, (word[0] >> 16) & 65535, xyz(a), b[0], (word[3] & 65535) - 1, (word[3] >> 16) - 1)
+        return wp.vec4(n[0], n[1], n[2], 0.0)
+    return plain_value(scene, point, word, a, b, c)
+
+
+@wp.func
+def fetch_lean(scene: Scene, operand: int, register: wp.vec4) -> wp.vec4:
+    """Return an operand (see node_closure.fetch), given the register that it may be.
+
+    Immediates that are read as an operand do no harm.
+    """
     if operand < 0:
         return load_vec4(scene.materials.constants, -1 - operand)
-    return registers[operand & (LEAN_REGISTERS - 1)]
+    return register
+
+
+@wp.func
+def register_of(operand: int) -> int:
+    """Return the number of the register that an operand may be."""
+    return operand & (LEAN_REGISTERS - 1)
+
+
+@wp.func
+def argument_operand(scene: Scene, first: int, slot: int) -> int:
+    """Return the operand that is argument `slot` of the closure whose argument words start at instruction `first`."""
+    return load_vec4i(scene.materials.code, first + slot // 3)[1 + slot % 3]
 
 
 @wp.func
@@ -183,55 +210,52 @@ def empty_lean(point: ShadingPoint) -> LeanClosure:
 
 
 @wp.func
-def read_lean(
-    scene: Scene, point: ShadingPoint, registers: wp.array[wp.vec4], sub: int, first: int,
-) -> LeanClosure:
-    """Return the closure whose argument words start at instruction `first`, with its own emission."""
-    c = empty_lean(point)
-    m = scene.materials
-    c.weight = wp.max(argument(m, registers, first, codes.ARG_WEIGHT)[0], 0.0)
-    c.color = xyz(argument(m, registers, first, codes.ARG_COLOR))
-    c.normal = normalize_or(xyz(argument(m, registers, first, codes.ARG_NORMAL)), point.normal)
-    if (sub & 255) == CLOSURE_PRINCIPLED:
-        c.multiscatter = wp.where((sub & codes.CLOSURE_MULTISCATTER) != 0, 1, 0)
-        c.roughness = argument(m, registers, first, codes.ARG_ROUGHNESS)[0]
-        c.ior = argument(m, registers, first, codes.ARG_IOR)[0]
-        c.metallic = argument(m, registers, first, codes.ARG_METALLIC)[0]
-        c.specular_level = argument(m, registers, first, codes.ARG_SPECULAR_LEVEL)[0]
-        c.specular_tint = xyz(argument(m, registers, first, codes.ARG_SPECULAR_TINT))
-        c.subsurface = argument(m, registers, first, codes.ARG_SUBSURFACE)[0]
-        c.transmission = argument(m, registers, first, codes.ARG_TRANSMISSION)[0]
-        c.emission = xyz(argument(m, registers, first, codes.ARG_EMISSION)) * c.weight
-    return c
-
-
-@wp.func
 def run_lean(scene: Scene, point: ShadingPoint, start: int) -> LeanClosure:
     """Run a lean surface program. The closure comes last in it."""
-    registers = wp.zeros(shape=(8,), dtype=wp.vec4)
+    registers = LeanRegisters()
     emission = wp.vec3(0.0, 0.0, 0.0)
     pc = int(start)
     word = load_vec4i(scene.materials.code, pc)
     op = word[0] & 255
     while op != codes.OP_END and op != codes.OP_CLOSURE:
         if op != codes.OP_TRANSPARENT:
-            a = fetch_lean(scene, registers, word[1])
-            b = fetch_lean(scene, registers, word[2])
-            out = (word[0] >> 8) & (LEAN_REGISTERS - 1)
+            a = fetch_lean(scene, word[1], registers[register_of(word[1])])
+            b = fetch_lean(scene, word[2], registers[register_of(word[2])])
+            c = fetch_lean(scene, word[3], registers[register_of(word[3])])
             if op == codes.OP_EMIT:
-                emission += xyz(a) * (b[0] * fetch_lean(scene, registers, word[3])[0])
-            elif op == codes.OP_NORMAL_MAP:
-                n = normal_map(
-                    scene, point, (word[0] >> 16) & 65535, xyz(a), b[0], (word[3] & 65535) - 1, (word[3] >> 16) - 1)
-                registers[out] = wp.vec4(n[0], n[1], n[2], 0.0)
+                emission += xyz(a) * (b[0] * c[0])
             else:
-                registers[out] = lean_value(scene, point, word, a, b, fetch_lean(scene, registers, word[3]))
+                registers[register_of(word[0] >> 8)] = lean_value(scene, point, word, a, b, c)
         pc += 1
         word = load_vec4i(scene.materials.code, pc)
         op = word[0] & 255
     closure = empty_lean(point)
     if op == codes.OP_CLOSURE:
-        closure = read_lean(scene, point, registers, (word[0] >> 16) & 65535, pc + 1)
+        sub = (word[0] >> 16) & 65535
+        k = argument_operand(scene, pc + 1, codes.ARG_WEIGHT)
+        closure.weight = wp.max(fetch_lean(scene, k, registers[register_of(k)])[0], 0.0)
+        k = argument_operand(scene, pc + 1, codes.ARG_COLOR)
+        closure.color = xyz(fetch_lean(scene, k, registers[register_of(k)]))
+        k = argument_operand(scene, pc + 1, codes.ARG_NORMAL)
+        closure.normal = normalize_or(xyz(fetch_lean(scene, k, registers[register_of(k)])), point.normal)
+        if (sub & 255) == CLOSURE_PRINCIPLED:
+            closure.multiscatter = wp.where((sub & codes.CLOSURE_MULTISCATTER) != 0, 1, 0)
+            k = argument_operand(scene, pc + 1, codes.ARG_ROUGHNESS)
+            closure.roughness = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_IOR)
+            closure.ior = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_METALLIC)
+            closure.metallic = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_SPECULAR_LEVEL)
+            closure.specular_level = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_SPECULAR_TINT)
+            closure.specular_tint = xyz(fetch_lean(scene, k, registers[register_of(k)]))
+            k = argument_operand(scene, pc + 1, codes.ARG_SUBSURFACE)
+            closure.subsurface = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_TRANSMISSION)
+            closure.transmission = fetch_lean(scene, k, registers[register_of(k)])[0]
+            k = argument_operand(scene, pc + 1, codes.ARG_EMISSION)
+            closure.emission = xyz(fetch_lean(scene, k, registers[register_of(k)])) * closure.weight
     closure.emission += emission
     return closure
 
@@ -239,7 +263,7 @@ def run_lean(scene: Scene, point: ShadingPoint, start: int) -> LeanClosure:
 @wp.func
 def run_lean_transparency(scene: Scene, point: ShadingPoint, start: int) -> wp.vec3:
     """Run a lean transparency program; return the share of light that passes."""
-    registers = wp.zeros(shape=(8,), dtype=wp.vec4)
+    registers = LeanRegisters()
     transparency = wp.vec3(0.0, 0.0, 0.0)
     pc = int(start)
     while True:
@@ -247,13 +271,13 @@ def run_lean_transparency(scene: Scene, point: ShadingPoint, start: int) -> wp.v
         op = word[0] & 255
         if op == codes.OP_END:
             break
-        a = fetch_lean(scene, registers, word[1])
-        b = fetch_lean(scene, registers, word[2])
+        a = fetch_lean(scene, word[1], registers[register_of(word[1])])
+        b = fetch_lean(scene, word[2], registers[register_of(word[2])])
         if op == codes.OP_TRANSPARENT:
             transparency += xyz(a) * b[0]
         else:
-            c = fetch_lean(scene, registers, word[3])
-            registers[(word[0] >> 8) & (LEAN_REGISTERS - 1)] = lean_value(scene, point, word, a, b, c)
+            c = fetch_lean(scene, word[3], registers[register_of(word[3])])
+            registers[register_of(word[0] >> 8)] = plain_value(scene, point, word, a, b, c)
         pc += 1
     return transparency
 
@@ -274,6 +298,19 @@ def full_closure(lean: LeanClosure) -> Closure:
 
 
 @wp.func
+def without_layers(bsdf: Bsdf) -> Bsdf:
+    """Return a BSDF without coat, sheen and translucency, whose odds are 0 anyway.
+
+    Compilers keep the code of their lobes otherwise: 0 times the odds' scale might be NaN for all they know.
+    """
+    out = bsdf
+    out.pick_coat = 0.0
+    out.pick_sheen = 0.0
+    out.pick_translucent = 0.0
+    return out
+
+
+@wp.func
 def lean_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
     """Return the BSDF of a lean closure: what layering.prepare_bsdf makes of it. Constants leave little of that."""
     closure = full_closure(lean)
@@ -281,7 +318,9 @@ def lean_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
     closure.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
     closure.normal = lean.normal
     closure.emission = lean.emission
-    return prepare_bsdf(tables, closure, point)
+    bsdf = without_layers(prepare_bsdf(tables, closure, point))
+    bsdf.pick_glass = 0.0
+    return bsdf
 
 
 @wp.func
@@ -296,7 +335,7 @@ def plain_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
     closure.normal = lean.normal
     closure.transmission = lean.transmission
     closure.emission = lean.emission
-    return prepare_bsdf(tables, closure, point)
+    return without_layers(prepare_bsdf(tables, closure, point))
 
 
 @wp.func

@@ -12,7 +12,7 @@ import warp as wp
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
-from .lights import LightSample, emitter_pdf, sample_light
+from .lights import LightSample, class_total, emitter_pdf, sample_light_of
 from .paths import (
     LONG_PATH,
     PENDING_NONE,
@@ -52,6 +52,7 @@ from .types import (
     Scene,
     ShadingPoint,
 )
+from .wide_loads import load_instance, load_material_flags
 
 __all__ = ["is_held_out", "set_shadow_ray", "shade_hit"]
 
@@ -92,7 +93,7 @@ def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.
     carried = light
     if s.kind == LIGHT_TRIANGLE:
         material = triangle_material(scene, s.instance, s.triangle)
-        if (scene.materials.materials[material].flags & MATERIAL_CONSTANT_EMISSION) != 0:
+        if (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_CONSTANT_EMISSION) != 0:
             carried = wp.cw_mul(light, scene.materials.materials[material].emission)
         else:
             pending = PENDING_TRIANGLE
@@ -188,11 +189,12 @@ def sample_direct_light(
     target = float(1.0)
     total = float(0.0)
     left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
+    classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
         step = float(k)
-        s = sample_light(
-            scene, point.position, side,
+        s = sample_light_of(
+            scene, classes, point.position, side,
             wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
         if s.kind >= 0:
             here = wp.cw_mul(throughput, arriving(scene, point, bsdf, s))
@@ -240,7 +242,7 @@ def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Pa
 @wp.func
 def is_held_out(scene: Scene, point: ShadingPoint, paths: Paths, path: int) -> bool:
     """Return whether the camera sees a holdout, which hides all and shows nothing."""
-    if point.ray_depth > 0 or (scene.geometry.instances[point.instance].visibility & HOLDOUT) == 0:
+    if point.ray_depth > 0 or (load_instance(scene.geometry.instances, point.instance).visibility & HOLDOUT) == 0:
         return False
     paths.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     return True

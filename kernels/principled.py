@@ -120,22 +120,23 @@ def sample_glass(bsdf: Bsdf, wo: wp.vec3, u: wp.vec2, choice: float) -> BsdfSamp
 def choose_lobe(bsdf: Bsdf, u: float) -> wp.vec2:
     """Return (lobe, its number rescaled to [0, 1)) by the pick probabilities."""
     rest = u
+    # Odds of 0 are asked for, so that compilers leave out lobes whose odds they know to be 0.
     if rest < bsdf.pick_diffuse:
         return wp.vec2(float(LOBE_DIFFUSE), rest / bsdf.pick_diffuse)
     rest -= bsdf.pick_diffuse
     if rest < bsdf.pick_specular:
         return wp.vec2(float(LOBE_SPECULAR), rest / bsdf.pick_specular)
     rest -= bsdf.pick_specular
-    if rest < bsdf.pick_glass:
+    if bsdf.pick_glass > 0.0 and rest < bsdf.pick_glass:
         return wp.vec2(float(LOBE_GLASS), rest / bsdf.pick_glass)
     rest -= bsdf.pick_glass
-    if rest < bsdf.pick_coat:
+    if bsdf.pick_coat > 0.0 and rest < bsdf.pick_coat:
         return wp.vec2(float(LOBE_COAT), rest / bsdf.pick_coat)
     rest -= bsdf.pick_coat
-    if rest < bsdf.pick_translucent:
+    if bsdf.pick_translucent > 0.0 and rest < bsdf.pick_translucent:
         return wp.vec2(float(LOBE_TRANSLUCENT), rest / bsdf.pick_translucent)
     rest -= bsdf.pick_translucent
-    if rest < bsdf.pick_sheen:
+    if bsdf.pick_sheen > 0.0 and rest < bsdf.pick_sheen:
         return wp.vec2(float(LOBE_SHEEN), rest / bsdf.pick_sheen)
     return wp.vec2(float(LOBE_NONE), 0.0)
 
@@ -146,13 +147,14 @@ def sample_lobe(bsdf: Bsdf, wo: wp.vec3, lobe: int, u: wp.vec2, choice: float) -
     s = BsdfSample()
     s.kind = VISIBLE_DIFFUSE
     s.roughness = 1.0
-    if lobe == LOBE_GLASS:
+    # Odds are asked for as in choose_lobe.
+    if bsdf.pick_glass > 0.0 and lobe == LOBE_GLASS:
         s = sample_glass(bsdf, wo, u, choice)
     elif lobe == LOBE_DIFFUSE:
         s.wi = to_frame(bsdf.normal, sample_cosine(u))
-    elif lobe == LOBE_SHEEN:
+    elif bsdf.pick_sheen > 0.0 and lobe == LOBE_SHEEN:
         s.wi = sample_sheen(bsdf.sheen_normal, wo, bsdf.sheen_a, bsdf.sheen_b, u)
-    elif lobe == LOBE_TRANSLUCENT:
+    elif bsdf.pick_translucent > 0.0 and lobe == LOBE_TRANSLUCENT:
         s.wi = to_frame(-bsdf.normal, sample_cosine(u))
         s.kind = VISIBLE_TRANSMISSION
     else:
@@ -161,7 +163,7 @@ def sample_lobe(bsdf: Bsdf, wo: wp.vec3, lobe: int, u: wp.vec2, choice: float) -
         tangent = bsdf.tangent
         alpha_x = bsdf.alpha_x
         alpha_y = bsdf.alpha_y
-        if lobe == LOBE_COAT:
+        if bsdf.pick_coat > 0.0 and lobe == LOBE_COAT:
             n = bsdf.coat_normal
             tangent = wp.vec3(0.0)
             alpha_x = bsdf.coat_alpha
@@ -171,7 +173,7 @@ def sample_lobe(bsdf: Bsdf, wo: wp.vec3, lobe: int, u: wp.vec2, choice: float) -
         if is_smooth(alpha_x, alpha_y):
             s.delta = 1
             s.pdf = 1.0
-            if lobe == LOBE_COAT:
+            if bsdf.pick_coat > 0.0 and lobe == LOBE_COAT:
                 s.weight = bsdf.coat * fresnel_dielectric(wp.dot(wo, n), bsdf.coat_ior)[0]
             else:
                 s.weight = base_reflectance(bsdf, wp.dot(wo, n))

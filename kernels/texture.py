@@ -17,7 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from .types import TextureInfo, Textures
-from .wide_loads import load_texture_info, load_vec4, load_vec4h, load_vec4us
+from .wide_loads import load_texture_info, load_uint, load_vec4, load_vec4h, load_vec4us
 
 __all__ = ["sample_texture", "srgb_to_linear"]
 
@@ -49,6 +49,16 @@ ALPHA_ASSOCIATED = wp.constant(2)
 """Colour is stored multiplied by alpha"""
 
 
+@wp.struct
+class Texels:
+    """Four neighbours."""
+
+    lower_left: wp.vec4
+    lower_right: wp.vec4
+    upper_left: wp.vec4
+    upper_right: wp.vec4
+
+
 @wp.func
 def srgb_to_linear(c: float) -> float:
     """Decode the sRGB transfer function (IEC 61966-2-1); negative values become 0."""
@@ -74,42 +84,81 @@ def wrap_coordinate(x: float, extension: int) -> float:
 @wp.func
 def wrap_index(i: int, size: int, extension: int) -> int:
     """Bring a texel index of a wrapped coordinate into [0, size)."""
-    if extension == EXTENSION_REPEAT:
-        if i < 0:
-            return i + size
-        if i >= size:
-            return i - size
-        return i
     # A mirrored coordinate lies within the picture: the texel beyond its edge is the edge's own.
-    return wp.clamp(i, 0, size - 1)
+    around = wp.where(i < 0, i + size, wp.where(i >= size, i - size, i))
+    return wp.where(extension == EXTENSION_REPEAT, around, wp.clamp(i, 0, size - 1))
 
 
 @wp.func
-def load_texel(textures: Textures, format: int, index: int) -> wp.vec4:
-    """Return one texel as stored, integers as 0..1."""
+def byte_texel(texel: wp.uint32) -> wp.vec4:
+    """Return a texel of bytes as 0..1."""
+    mask = wp.uint32(255)
+    return (1.0 / 255.0) * wp.vec4(
+        float(texel & mask),
+        float((texel >> wp.uint32(8)) & mask),
+        float((texel >> wp.uint32(16)) & mask),
+        float(texel >> wp.uint32(24)),
+    )
+
+
+@wp.func
+def half_texel(halves: wp.vec4h) -> wp.vec4:
+    """Return a texel of halves as floats."""
+    return wp.vec4(float(halves[0]), float(halves[1]), float(halves[2]), float(halves[3]))
+
+
+@wp.func
+def short_texel(shorts: wp.vec4us) -> wp.vec4:
+    """Return a texel of 16-bit integers as 0..1."""
+    return (1.0 / 65535.0) * wp.vec4(float(shorts[0]), float(shorts[1]), float(shorts[2]), float(shorts[3]))
+
+
+@wp.func
+def load_texels(textures: Textures, format: int, indices: wp.vec4i) -> Texels:
+    """Return four texels as stored, integers as 0..1.
+
+    Together: one by one each would be waited for, since the ways to decode them part.
+    """
+    t = Texels()
     if format == TEXELS_BYTE:
-        texel = textures.bytes4[index]
-        mask = wp.uint32(255)
-        return (1.0 / 255.0) * wp.vec4(
-            float(texel & mask),
-            float((texel >> wp.uint32(8)) & mask),
-            float((texel >> wp.uint32(16)) & mask),
-            float(texel >> wp.uint32(24)),
-        )
-    if format == TEXELS_HALF:
-        halves = load_vec4h(textures.halves4, index)
-        return wp.vec4(float(halves[0]), float(halves[1]), float(halves[2]), float(halves[3]))
-    if format == TEXELS_SHORT:
-        shorts = load_vec4us(textures.shorts4, index)
-        return (1.0 / 65535.0) * wp.vec4(float(shorts[0]), float(shorts[1]), float(shorts[2]), float(shorts[3]))
-    return load_vec4(textures.floats4, index)
+        b0 = load_uint(textures.bytes4, indices[0])
+        b1 = load_uint(textures.bytes4, indices[1])
+        b2 = load_uint(textures.bytes4, indices[2])
+        b3 = load_uint(textures.bytes4, indices[3])
+        t.lower_left = byte_texel(b0)
+        t.lower_right = byte_texel(b1)
+        t.upper_left = byte_texel(b2)
+        t.upper_right = byte_texel(b3)
+    elif format == TEXELS_HALF:
+        h0 = load_vec4h(textures.halves4, indices[0])
+        h1 = load_vec4h(textures.halves4, indices[1])
+        h2 = load_vec4h(textures.halves4, indices[2])
+        h3 = load_vec4h(textures.halves4, indices[3])
+        t.lower_left = half_texel(h0)
+        t.lower_right = half_texel(h1)
+        t.upper_left = half_texel(h2)
+        t.upper_right = half_texel(h3)
+    elif format == TEXELS_SHORT:
+        s0 = load_vec4us(textures.shorts4, indices[0])
+        s1 = load_vec4us(textures.shorts4, indices[1])
+        s2 = load_vec4us(textures.shorts4, indices[2])
+        s3 = load_vec4us(textures.shorts4, indices[3])
+        t.lower_left = short_texel(s0)
+        t.lower_right = short_texel(s1)
+        t.upper_left = short_texel(s2)
+        t.upper_right = short_texel(s3)
+    else:
+        t.lower_left = load_vec4(textures.floats4, indices[0])
+        t.lower_right = load_vec4(textures.floats4, indices[1])
+        t.upper_left = load_vec4(textures.floats4, indices[2])
+        t.upper_right = load_vec4(textures.floats4, indices[3])
+    return t
 
 
 @wp.func
-def load_associated(textures: Textures, info: TextureInfo, index: int) -> wp.vec4:
-    """Return one texel, its colour multiplied by alpha unless the two are unrelated."""
-    texel = load_texel(textures, info.format, index)
-    if info.alpha == ALPHA_STRAIGHT:
+def associated(texel: wp.vec4, alpha: int) -> wp.vec4:
+    """Return a texel, its colour multiplied by its alpha unless the two are unrelated."""
+    if alpha == ALPHA_STRAIGHT:
         a = texel[3]
         return wp.vec4(texel[0] * a, texel[1] * a, texel[2] * a, a)
     return texel
@@ -126,7 +175,8 @@ def sample_closest(textures: Textures, info: TextureInfo, uv: wp.vec2, extension
     # uv = 1 belongs to the last texel.
     x = wp.clamp(x, 0, info.width - 1)
     y = wp.clamp(y, 0, info.height - 1)
-    return load_associated(textures, info, info.offset + (info.height - 1 - y) * info.width + x)
+    index = info.offset + (info.height - 1 - y) * info.width + x
+    return associated(load_texels(textures, info.format, wp.vec4i(index, index, index, index)).lower_left, info.alpha)
 
 
 @wp.func
@@ -158,10 +208,12 @@ def sample_level(
     column1 = wrap_index(x0 + 1, width, extension)
     row0 = offset + (height - 1 - wrap_index(y0, height, extension)) * width
     row1 = offset + (height - 1 - wrap_index(y0 + 1, height, extension)) * width
-    lower = left * load_associated(textures, info, row0 + column0)
-    lower += right * load_associated(textures, info, row0 + column1)
-    upper = left * load_associated(textures, info, row1 + column0)
-    upper += right * load_associated(textures, info, row1 + column1)
+    texels = load_texels(
+        textures, info.format, wp.vec4i(row0 + column0, row0 + column1, row1 + column0, row1 + column1))
+    lower = left * associated(texels.lower_left, info.alpha)
+    lower += right * associated(texels.lower_right, info.alpha)
+    upper = left * associated(texels.upper_left, info.alpha)
+    upper += right * associated(texels.upper_right, info.alpha)
     return bottom * lower + top * upper
 
 
@@ -180,14 +232,20 @@ def sample_filtered(textures: Textures, info: TextureInfo, uv: wp.vec2, width: f
         offset += level_width * level_height
         level_width = wp.max(level_width // 2, 1)
         level_height = wp.max(level_height // 2, 1)
-    result = sample_level(textures, info, offset, level_width, level_height, uv, extension)
     blend = detail - float(level)
-    if blend > 0.0:
+    result = wp.vec4()
+    # A loop, so that the code of a level is there once.
+    share = float(1.0 - blend)
+    levels = int(2)
+    if blend <= 0.0:
+        levels = int(1)
+    while levels > 0:
+        result = result + share * sample_level(textures, info, offset, level_width, level_height, uv, extension)
         offset += level_width * level_height
         level_width = wp.max(level_width // 2, 1)
         level_height = wp.max(level_height // 2, 1)
-        coarse = sample_level(textures, info, offset, level_width, level_height, uv, extension)
-        result = (1.0 - blend) * result + blend * coarse
+        share = blend
+        levels = levels - 1
     return result
 
 

@@ -18,9 +18,10 @@ from .types import Geometry, Instance, Material, TextureInfo
 from .view import View
 
 __all__ = [
-    "PairOfWords", "load_corner", "load_eight_bytes", "load_four_floats", "load_instance", "load_material_flags",
-    "load_normal", "load_piece", "load_previous_view", "load_slot", "load_texture_info", "load_two_floats",
-    "load_two_words", "load_vec2", "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
+    "PairOfWords", "load_corner", "load_eight_bytes", "load_float", "load_four_floats", "load_instance",
+    "load_material_flags", "load_normal", "load_piece", "load_previous_view", "load_slab_square", "load_slot",
+    "load_square", "load_texture_info", "load_two_floats", "load_two_words", "load_uint", "load_vec2", "load_vec4",
+    "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
 ]
 
 PairOfWords = wp.types.vector(length=2, dtype=wp.uint64)
@@ -139,6 +140,18 @@ def load_word(rows: wp.array[wp.uint64], index: int) -> wp.uint64:
     ...
 
 
+@wp.func_native(_neighbors("wp::float32", 1))
+def load_float(rows: wp.array[float], index: int) -> float:
+    """Return rows[index]."""
+    ...
+
+
+@wp.func_native(_neighbors("wp::uint32", 1))
+def load_uint(rows: wp.array[wp.uint32], index: int) -> wp.uint32:
+    """Return rows[index]."""
+    ...
+
+
 @wp.func_native(_neighbors("wp::vec_t<2, float>", 2))
 def load_two_floats(rows: wp.array[float], index: int) -> wp.vec2:
     """Return rows[index] and the one behind it; need not begin at an even index."""
@@ -148,6 +161,22 @@ def load_two_floats(rows: wp.array[float], index: int) -> wp.vec2:
 @wp.func_native(_neighbors("wp::vec_t<4, float>", 4))
 def load_four_floats(rows: wp.array[float], index: int) -> wp.vec4:
     """Return rows[index] and the three behind it; may begin anywhere."""
+    ...
+
+
+_SQUARE = (_neighbors("wp::vec_t<4, float>", 4).replace("+ 2", "+ count").replace("+ 3", "+ count + 1")
+           .replace("[2]", "[count]").replace("[3]", "[count + 1]"))
+
+
+@wp.func_native(_SQUARE.replace("rows.data + index", "table.data + row * count + column"))
+def load_square(table: wp.array2d[float], row: int, column: int, count: int) -> wp.vec4:
+    """Return table[row, column], the entry behind it, and the two below these; rows have `count` entries."""
+    ...
+
+
+@wp.func_native(_SQUARE.replace("rows.data + index", "table.data + (slab * count + row) * count + column"))
+def load_slab_square(table: wp.array3d[float], slab: int, row: int, column: int, count: int) -> wp.vec4:
+    """Return load_square's of a slab, which has `count` rows of as many entries."""
     ...
 
 

@@ -11,16 +11,20 @@ from burnish.kernels.view import View
 from burnish.kernels.wide_loads import (
     load_corner,
     load_eight_bytes,
+    load_float,
     load_four_floats,
     load_instance,
     load_material_flags,
     load_normal,
     load_piece,
     load_previous_view,
+    load_slab_square,
     load_slot,
+    load_square,
     load_texture_info,
     load_two_floats,
     load_two_words,
+    load_uint,
     load_vec2,
     load_vec4h,
     load_vec4us,
@@ -198,5 +202,42 @@ def test_neighbors_and_stores(device: str) -> None:
     expected = (
         words[i + [[0, 1, 0]]].ravel(), np.hstack([far[:, :2], far]).ravel(), small.view(np.uint64),
         words.view(np.uint32).reshape(-1, 4), far[:, :2], far, far.astype(np.float16))
+    for out, values in zip(outs, expected, strict=True):
+        assert (out.numpy() == values).all()
+
+
+@wp.kernel
+def copy_tables(
+    words: wp.array[wp.uint32], numbers: wp.array[float], square: wp.array2d[float], cube: wp.array3d[float],
+    words_out: wp.array[wp.uint32], numbers_out: wp.array[float], squares_out: wp.array3d[float],
+    cubes_out: wp.array4d[float],
+):
+    """Copy all places of tables that have a neighbour behind and below."""
+    i, j, k = wp.tid()
+    words_out[k] = load_uint(words, k)
+    numbers_out[k] = load_float(numbers, k)
+    for c in range(4):
+        squares_out[j, k, c] = load_square(square, j, k, COUNT)[c]
+        cubes_out[i, j, k, c] = load_slab_square(cube, i, j, k, COUNT)[c]
+
+
+@pytest.mark.parametrize("device", ["cpu", *(["cuda:0"] if wp.get_cuda_device_count() else [])])
+def test_tables(device: str) -> None:
+    """Loads from tables of one, two and three dimensions return the entries at the place that was asked for."""
+    random = np.random.default_rng(2)
+    words = random.integers(0, 1 << 32, COUNT - 1, dtype=np.uint64).astype(np.uint32)
+    numbers = random.normal(size=COUNT - 1).astype(np.float32)
+    square = random.normal(size=(COUNT, COUNT)).astype(np.float32)
+    cube = random.normal(size=(COUNT, COUNT, COUNT)).astype(np.float32)
+    n = COUNT - 1
+    outs = [wp.zeros(shape, dtype=dtype, device=device)
+            for shape, dtype in ((n, wp.uint32), (n, float), ((n, n, 4), float), ((COUNT, n, n, 4), float))]
+    inputs = [wp.array(words, dtype=wp.uint32, device=device), *(
+        wp.array(table, dtype=float, device=device) for table in (numbers, square, cube))]
+    wp.launch(copy_tables, (COUNT, n, n), [*inputs, *outs], device=device)
+    expected = (
+        words, numbers,
+        np.stack([square[:-1, :-1], square[:-1, 1:], square[1:, :-1], square[1:, 1:]], -1),
+        np.stack([cube[:, :-1, :-1], cube[:, :-1, 1:], cube[:, 1:, :-1], cube[:, 1:, 1:]], -1))
     for out, values in zip(outs, expected, strict=True):
         assert (out.numpy() == values).all()
