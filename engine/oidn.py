@@ -68,6 +68,8 @@ class Images:
     height: int
     clean: bool = False
     """Whether albedo and normal are free of noise"""
+    prefilter: bool = False
+    """Whether to free them of noise first, in place"""
 
 
 @functools.cache
@@ -116,9 +118,12 @@ def denoise(library: ctypes.CDLL, images: Images, processor: bool = False) -> st
             **{name: None if image is None else wp.array(image.numpy(), dtype=image.dtype, device="cpu")
                for name, image in (("color", images.color), ("output", images.output), ("albedo", images.albedo),
                                    ("normal", images.normal))},
-            width=images.width, height=images.height, clean=images.clean)
+            width=images.width, height=images.height, clean=images.clean, prefilter=images.prefilter)
         kept.run(copies)
         wp.copy(images.output, copies.output)
+        for guide, filtered in ((images.albedo, copies.albedo), (images.normal, copies.normal)):
+            if images.prefilter and guide is not None:
+                wp.copy(guide, filtered)
         return "cpu"
 
 
@@ -157,7 +162,8 @@ class Denoiser:
             BurnishError: There is none.
         """
         self.library = library
-        self._filter, self._made_for = None, ()
+        self._filters: dict[str, tuple[tuple, int]] = {}
+        """Of the picture and of each guide: what a filter was made for, and its handle"""
         if ordinal < 0:
             self._device = library.oidnNewDevice(DEVICE_CPU)
             if self._device:
@@ -184,44 +190,51 @@ class Denoiser:
             raise BurnishError(f"Open Image Denoise failed: {reason}.")
 
     def run(self, images: Images) -> None:
-        """Filter a picture and wait for it.
+        """Filter a picture and wait for it; first its guides, in place, if they are to be.
 
         Raises:
             BurnishError: The library failed.
         """
+        used = {"color": images.color, "output": images.output}
+        if images.albedo is not None:
+            used["albedo"] = images.albedo
+            if images.normal is not None:
+                used["normal"] = images.normal
+        if images.prefilter:
+            for name in used.keys() & {"albedo", "normal"}:
+                self._execute(name, {name: used[name], "output": used[name]}, images, ())
+        clean = "normal" in used and (images.clean or images.prefilter)
+        self._execute("color", used, images, (b"hdr", b"cleanAux") if clean else (b"hdr",))
+
+    def _execute(self, kind: str, used: dict[str, wp.array], images: Images, switches: tuple[bytes, ...]) -> None:
+        """Run the filter of a kind of picture over arrays, by the library's names, with some switches on."""
         library = self.library
-        guided, both = images.albedo is not None, images.albedo is not None and images.normal is not None
-        made_for = images.width, images.height, guided, both, images.clean
-        if made_for != self._made_for:
-            self._release_filter()
-            self._filter = library.oidnNewFilter(self._device, b"RT")
+        made_for = images.width, images.height, tuple(used), switches
+        if self._filters.get(kind, ((), 0))[0] != made_for:
+            self._release_filter(kind)
+            handle = library.oidnNewFilter(self._device, b"RT")
             self._check()
-            library.oidnSetFilterBool(self._filter, b"hdr", True)
-            if both and images.clean:
-                library.oidnSetFilterBool(self._filter, b"cleanAux", True)
-            self._made_for = made_for
-        used = {b"color": images.color, b"output": images.output}
-        if guided:
-            used[b"albedo"] = images.albedo
-        if both:
-            used[b"normal"] = images.normal
+            self._filters[kind] = made_for, handle
+            for switch in switches:
+                library.oidnSetFilterBool(handle, switch, True)
+        handle = self._filters[kind][1]
         for name, image in used.items():
             stride = 4 * (4 if image.dtype == wp.vec4 else 3)
             library.oidnSetSharedFilterImage(
-                self._filter, name, image.ptr, FORMAT_FLOAT3, images.width, images.height, 0, stride,
+                handle, name.encode(), image.ptr, FORMAT_FLOAT3, images.width, images.height, 0, stride,
                 stride * images.width)
-        library.oidnCommitFilter(self._filter)
-        library.oidnExecuteFilter(self._filter)
+        library.oidnCommitFilter(handle)
+        library.oidnExecuteFilter(handle)
         self._check()
 
-    def _release_filter(self) -> None:
-        if self._filter:
-            self.library.oidnReleaseFilter(self._filter)
-        self._filter, self._made_for = None, ()
+    def _release_filter(self, kind: str) -> None:
+        if kind in self._filters:
+            self.library.oidnReleaseFilter(self._filters.pop(kind)[1])
 
     def release(self) -> None:
         """Give everything back."""
-        self._release_filter()
+        for kind in list(self._filters):
+            self._release_filter(kind)
         if self._device:
             self.library.oidnReleaseDevice(self._device)
         self._device = None

@@ -26,9 +26,10 @@ from .wavefront import Step, Wavefront
 
 __all__ = ["FinalDenoise"]
 
-GUIDE_SAMPLES = 4, 16
-"""Fewest and most jittered first hits a pixel that the guides are averaged of: else twice the picture's samples. More
-make pictures hardly better, and eight take about as long as a sample"""
+GUIDE_SAMPLES = 4, 64
+"""Fewest and most jittered first hits a pixel that the guides are averaged of: else as many as the picture has samples,
+of which one takes as long as 16. With fewer than the most the guides are denoised themselves: their noise at edges and
+behind veils would be taken for texture"""
 MIRRORS = 4
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
@@ -46,6 +47,8 @@ class FinalDenoise:
         """Device that filtered the newest picture: "cuda" or "cpu" """
         self._guides: tuple[wp.array, wp.array] | None = None
         self._guide_samples = 0
+        self._prefiltered = False
+        """Whether the guides are free of noise: made of most samples, or denoised"""
         self._options: tuple[Options, Options] | None = None
         """The path tracer's and those made of them: the same object again, for what is recorded with it"""
         self._blend = RestBlend(device)
@@ -67,7 +70,7 @@ class FinalDenoise:
             samples: How many the picture has, or frames.
         """
         fewest, most = GUIDE_SAMPLES
-        wanted = min(max(2 * samples, fewest), most)
+        wanted = min(max(samples, fewest), most)
         if self._guides is None or self._guide_samples < wanted:
             if self._options is None or self._options[0] is not options:
                 self._options = options, without_roulette(options)
@@ -82,7 +85,7 @@ class FinalDenoise:
                     job(band)()
             else:
                 run_bands(job(band) for band in tracer.bands)
-            self._guides, self._guide_samples = (albedo, normal), wanted
+            self._guides, self._guide_samples, self._prefiltered = (albedo, normal), wanted, wanted == most
         return self._guides
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
@@ -111,7 +114,9 @@ class FinalDenoise:
         albedo, normal = guides
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
-            color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean))
+            color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean,
+            prefilter=not self._prefiltered))
+        self._prefiltered = True
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
         if traced is None:

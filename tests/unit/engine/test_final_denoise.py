@@ -144,7 +144,7 @@ def test_guides_are_kept_until_the_view_changes():
     made.step(1)
     few = made.guides()
     assert made.guides() is few
-    made.step(8)
+    made.step(63)
     first = made.guides()
     assert first is not few and np.abs(first[0].numpy() - few[0].numpy()).max() > 0.01
     made.step(8)
@@ -152,6 +152,38 @@ def test_guides_are_kept_until_the_view_changes():
     made.configure(made.settings, scenes.camera_above(2.0, 0.5), *SIZE, passes=("Combined", DENOISED))
     second = made.guides()
     assert second is not first and np.abs(second[0].numpy() - first[0].numpy()).max() > 0.1
+
+
+def test_guides_of_few_samples_are_denoised_once(monkeypatch):
+    """Free the guides of their noise before the picture is denoised with them, unless they are of many samples."""
+    asked = []
+
+    def filtered(library, images, processor=False):
+        asked.append(images.prefilter)
+        wp.copy(images.output, images.color)
+        return "cpu"
+
+    monkeypatch.setattr(final_denoise.oidn, "denoise", filtered)
+    monkeypatch.setattr(final_denoise, "GUIDE_SAMPLES", (2, 4))
+    made = open_session(Integrator.REFERENCE)
+    made.step(3)
+    made.read_denoised(None)
+    made.read_denoised(None)
+    made.step(1)
+    made.read_denoised(None)
+    assert asked == [True, False, False]
+
+
+def test_guides_are_filtered_in_place(library):
+    """Take noise off the guides themselves, and leave them alone unless asked."""
+    rng = np.random.default_rng(2)
+    noisy = wp.array(rng.random((32 * 32, 3)).astype(np.float32), dtype=wp.vec3, device="cpu")
+    made = replace(images((32, 32)), albedo=noisy, normal=wp.zeros(32 * 32, dtype=wp.vec3, device="cpu"))
+    before = noisy.numpy().copy()
+    oidn.denoise(library, made)
+    assert (noisy.numpy() == before).all()
+    oidn.denoise(library, replace(made, prefilter=True))
+    assert noisy.numpy().std() < 0.6 * before.std()
 
 
 def test_sky_is_its_own_albedo():
@@ -224,13 +256,13 @@ def test_filter_is_kept(library):
     assert np.std(first.output.numpy()[:, 0]) < 0.3 * np.std(first.color.numpy()[:, 0])
     np.testing.assert_array_equal(first.output.numpy()[:, 3], 0.5)
     kept, = oidn._kept.values()
-    handle = kept._filter
+    handle = kept._filters["color"]
     second = images()
     oidn.denoise(library, second)
-    assert kept._filter == handle
+    assert kept._filters["color"] == handle
     np.testing.assert_allclose(second.output.numpy(), first.output.numpy(), rtol=1e-4)
     oidn.denoise(library, images((24, 8)))
-    assert list(oidn._kept.values()) == [kept] and kept._made_for[:2] == (24, 8)
+    assert list(oidn._kept.values()) == [kept] and kept._filters["color"][0][:2] == (24, 8)
     oidn.release()
     assert not oidn._kept
     assert oidn.denoise(library, images()) == "cpu"

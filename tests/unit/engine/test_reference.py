@@ -210,8 +210,8 @@ def test_cancelled_step_keeps_a_valid_picture():
     camera = scenes.camera_above(height=0.5, half=0.3, orthographic=False)
     session.configure(scenes.SETTINGS, camera, 256, 128)
     calls = []
-    # On CUDA a small picture's four samples are one batch with a question a bounce.
-    patience = 20 if scenes.SETTINGS.device == "cpu" else 2
+    # On CUDA a small picture's samples are one batch, which is over before it is asked for again.
+    patience = 20 if scenes.SETTINGS.device == "cpu" else 0
     session.step(4, lambda: len(calls) > patience or calls.append(0))
     assert session.samples_done < 4
     assert np.isfinite(session.read()).all()

@@ -127,7 +127,7 @@ def test_rays_pass_layers_alike(scene, listed):
     wp.launch(layers.filter_paths, COUNT, [scene.scene, *every(queue)], [full], device=device, block_dim=64)
     found = run_listed(device, compaction.append_layered_paths, [lean, 0], layers_lean.filter_paths_lean,
                        [scene.scene], lean, listed)
-    assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
+    assert 0.1 < met.mean() < 0.6 and found == (COUNT if not listed and device == "cpu" else met.sum())
     stopped = (full.hit.numpy() == full.layer.numpy()).all(1)[met].mean()
     assert 0.2 < stopped < 0.95
     assert_same(values(full, WRITTEN), values(lean, WRITTEN))
@@ -146,7 +146,7 @@ def test_shadow_rays_pass_layers_alike(scene, listed):
     wp.launch(shadow_layers.weaken_shadow_rays, COUNT, [*before, *every(queue)], [full], device=device, block_dim=64)
     found = run_listed(device, compaction.append_layered_shadows, [lean], shadow_layers_lean.weaken_shadow_rays_lean,
                        before, lean, listed)
-    assert 0.1 < met.mean() < 0.6 and found == (met.sum() if listed else COUNT)
+    assert 0.1 < met.mean() < 0.6 and found == (COUNT if not listed and device == "cpu" else met.sum())
     light = full.radiance.numpy()[:, 0]
     assert ((light[met] > 0.0) & (light[met] < 1.0)).mean() > 0.9
     assert_same(values(full, LIT), values(lean, LIT))
