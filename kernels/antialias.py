@@ -20,6 +20,9 @@ from .wide_stores import store_vec4
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
+# A colour is no firefly up to so many times the mean luma of the pixels around it.
+VEILED = wp.constant(4.0)
+
 # Frames that the history counts as in motion: the weight of a new frame falls to 0.1.
 MOTION_SAMPLES = wp.constant(9.0)
 
@@ -185,9 +188,13 @@ def gather_neighborhood(
 
 
 @wp.func
-def firefly_weight(c: wp.vec4) -> float:
-    """Return the weight of a colour in motion: nothing that a display shows is weighed down, only what is brighter."""
-    return 1.0 / wp.max(1.0, luma(c) / FIREFLY_LUMA)
+def firefly_weight(c: wp.vec4, around: float) -> float:
+    """Return the weight of a colour in motion: nothing that a display shows is weighed down, only what is brighter.
+
+    And brighter than pixels around it, whose mean luma is `around`: where all are bright now and then, as behind a
+    veil, that is no firefly, and to weigh it down would lose half of the light.
+    """
+    return 1.0 / wp.max(1.0, luma(c) / wp.max(FIREFLY_LUMA, VEILED * around))
 
 
 @wp.func
@@ -203,7 +210,7 @@ def filter_frame(
         c = unpack_halves(color[wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)])
         offset = wp.vec2(float(dx), float(dy)) + jitter
         # A Gaussian of 0.45 px is as wide as the usual pixel filters.
-        w = wp.exp(-2.5 * wp.dot(offset, offset)) * firefly_weight(c)
+        w = wp.exp(-2.5 * wp.dot(offset, offset)) * firefly_weight(c, 0.0)
         total += c * w
         weights += w
     # A jitter far outside of the pixel leaves next to no weight: the nearest sample is the pixel's own, then.
@@ -285,8 +292,9 @@ def antialias(
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(view))
                 history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
-                w_new = firefly_weight(current)
-                w_old = firefly_weight(history) * samples
+                around = 1.125 * n.mean[0] - 0.125 * luma(current)
+                w_new = firefly_weight(current, around)
+                w_old = firefly_weight(history, around) * samples
                 mean = (current * w_new + history * w_old) / (w_new + w_old)
     store_vec4(accumulation_out.color, pixel, mean)
     accumulation_out.samples[pixel] = wp.uint16(wp.min(samples + 1.0, SAMPLES_MAX))

@@ -230,6 +230,22 @@ def test_motion_averages_noise_without_bias(device):
     assert picture[..., 0].std() < 0.35 * 0.6 / np.sqrt(12)
 
 
+def test_light_behind_a_veil_is_kept_and_sparks_are_not(device):
+    """In motion keep what shines through a random half of samples, and little of what one pixel in a hundred shows."""
+    rng = np.random.default_rng(4)
+    kept = {}
+    for share in (0.5, 0.01):
+        frames, found = Frames(device), []
+        for frame in range(40):
+            shines = rng.random((H, W)) < share
+            picture = frames.add(opaque(np.where(shines, 20.0, 0.2)), rest=0, restart=int(frame == 0))
+            if frame >= 20:
+                found.append(picture[4:-4, 4:-4, 0].mean())
+        kept[share] = (np.mean(found) - 0.2) / (19.8 * share)
+    assert 0.75 < kept[0.5] < 1.1
+    assert kept[0.01] < 0.35
+
+
 def test_a_wrong_position_stays_outside(device):
     """Take no history from positions that are not finite, and edge pixels for those outside of the picture."""
     frames = Frames(device)
