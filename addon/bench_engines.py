@@ -242,7 +242,8 @@ class BenchScene:
         settings.sampling.samples, settings.sampling.time_limit = job.samples, 0.0
         settings.sampling.seed = job.seed
         settings.light_paths.clamp_direct = settings.light_paths.clamp_indirect = 0.0
-        settings.light_paths.max_bounces = 0
+        # As Cycles' paths, which meet one surface more than they have bounces.
+        settings.light_paths.max_bounces = BOUNCES + 1
         settings.film.exposure = float(self.scene.cycles.film_exposure)
         settings.film.pixel_filter, settings.film.filter_width = 'BLACKMAN_HARRIS', FILTER_WIDTH
         settings.denoiser.final_denoise = job.engine.endswith("+oidn")

@@ -31,7 +31,7 @@ from ..engine.session import DENOISED
 from ..engine.settings import Integrator, RenderSettings
 from . import oidn
 from .bench_engines import BenchScene, KeptSession, kept_sessions, save_picture
-from .bench_plan import LONG
+from .bench_plan import LONG, TOLERANCE, most_frames
 from .bench_store import Job
 
 __all__ = ["LiveScene"]
@@ -40,11 +40,6 @@ WARM_UP_SECONDS = 3.0
 """Longest run before anything is timed: records launches, and path-traces where the picture rests soon enough"""
 CURVE_SHARE = 1.1
 """The curve of frames reaches beyond the longest budget that it serves"""
-TOLERANCE = 1.02
-"""Share of a budget that a picture may take"""
-FULL = 0.9
-"""Share of a budget below which more frames are tried"""
-ATTEMPTS = 4
 MOVING_FRAMES = 48
 MOVING_SECONDS = 4.0
 TIMED_AT = 8
@@ -192,24 +187,18 @@ class LiveScene:
     def _fill(self, budget: float, facts: dict[str, Any], finish: Callable[[], np.ndarray],
               ) -> tuple[Shot | None, list[float]]:
         """Return a picture of as many frames as fit, and all times; None if one frame is too long."""
-        frames, best = max(1, frames_within(facts["curve"], budget - facts["finish"])), None
-        for _ in range(ATTEMPTS):
+        found: dict[int, tuple[Shot, list[float]]] = {}
+
+        def measure(frames: int) -> tuple[float, float]:
             shots = [shoot(self.session, frames, finish, self.stopped) for _ in range(max(1, self.repetitions))]
             self.check()
             times = [shot.seconds for shot in shots]
-            median, rest = statistics.median(times), statistics.median(shot.finish for shot in shots)
-            fits = median <= TOLERANCE * budget
-            if fits and (best is None or frames > best[0].frames):
-                best = min(shots, key=lambda shot: abs(shot.seconds - median)), times
-            if (not fits and frames == 1) or median >= FULL * budget and fits:
-                break
-            # Less what finishing takes, which depends on no number of frames.
-            fitting = int(frames * max(0.0, budget - rest) / max(median - rest, 1e-9))
-            following = max(frames + 1, fitting) if fits else max(1, min(frames - 1, fitting))
-            if best is not None and (following <= best[0].frames or (fits and fitting <= frames)):
-                break
-            frames = following
-        return best or (None, times)
+            median = statistics.median(times)
+            found[frames] = min(shots, key=lambda shot: abs(shot.seconds - median)), times
+            return median, statistics.median(shot.finish for shot in shots)
+
+        most = most_frames(measure, budget, frames_within(facts["curve"], budget - facts["finish"]))
+        return found[most] if most else (None, found[1][1])
 
     def _record(self, job: Job, shot: Shot | None, times: list[float], facts: dict[str, Any],
                 path: Path) -> dict[str, Any]:

@@ -6,18 +6,25 @@ from __future__ import annotations
 import argparse
 import itertools
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from .bench_store import MOVING, Job
 
-__all__ = ["BUDGETS", "CLOCKS", "LONG", "Plan", "fit_line", "make_plan", "samples_within"]
+__all__ = [
+    "BUDGETS", "CLOCKS", "LONG", "TOLERANCE", "Plan", "fit_line", "make_plan", "most_frames", "samples_within"]
 
 BUDGETS = (0.005, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Times [s] at which engines are compared unless others are asked for"""
 CLOCKS = ("warm", "cold")
 LONG = 0.5
 """Budgets above this are measured once, and pictures of one engine share samples [s]"""
+TOLERANCE = 1.02
+"""Share of a budget that a picture may take"""
+FULL = 0.9
+"""Share of a budget below which more frames are tried"""
+ATTEMPTS = 6
+"""Most numbers of frames that are tried for a budget"""
 TRUTH_SEEDS = (101, 202)
 NOISE_SEEDS = (11, 22)
 RIVAL_SEED = 7
@@ -87,3 +94,34 @@ def samples_within(budget: float, per_sample: float, fixed: float) -> int:
         return 0
     # A thousandth of a sample is what rounding leaves of times that divide exactly.
     return max(0, int((budget - fixed) / per_sample + 1e-3))
+
+
+def most_frames(measure: Callable[[int], tuple[float, float]], budget: float, first: int) -> int:
+    """Return the most frames found whose picture takes no longer than a budget [s]; 0 where one takes longer.
+
+    Args:
+        measure: Returns the seconds of a picture of so many frames, and the part that depends on no number of them.
+        budget: Seconds.
+        first: The guess to begin with.
+    """
+    frames, low, high, known = max(1, first), 0, None, {}
+    for _ in range(ATTEMPTS):
+        known[frames], rest = measure(frames)
+        if known[frames] <= TOLERANCE * budget:
+            low = max(low, frames)
+            if known[frames] >= FULL * budget:
+                break
+        else:
+            high = frames if high is None else min(frames, high)
+        slope = (known[frames] - rest) / frames
+        if len(known) > 1:
+            # Two tell more than one: samples of a batch share the time of the longest paths.
+            other = min(known.keys() - {frames}, key=lambda count: abs(count - frames))
+            slope = (known[frames] - known[other]) / (frames - other)
+        following = frames + int((budget - known[frames]) / max(slope, 1e-9))
+        frames = max(low + 1, following if high is None else min(following, high - 1))
+        if frames in known:
+            break
+    if not low and 1 not in known and measure(1)[0] <= TOLERANCE * budget:
+        low = 1
+    return low

@@ -4,7 +4,8 @@
 Nobody can time a live Cycles from outside, so its time is taken from the slope between sample counts of a scene that
 stays on the device (Persistent Data), where everything but sampling is the same and cancels out. That leaves out
 its synchronization, its read-back and Blender's: the rivals' warm times are lower bounds. Denoising is the difference
-that it makes to one sample.
+that it makes to renders of one sample between which nothing is set: whatever is set, Cycles takes the whole scene in
+again, which lasts much longer.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ __all__ = ["calibrate", "check_eevee", "render_shared", "render_warm", "shareabl
 
 SHARED_EXCESS = 0.03
 """Share of a budget by which denoising may exceed it where a render is shared"""
+RESIDENT_RENDERS = 12
+"""Renders of which the shortest tells what one takes with nothing to take in"""
+RESIDENT_SECONDS = 4.0
+"""Time for them after which no more are made"""
 PROBE_SECONDS = 240.0
 PROBE = """
 import bpy
@@ -93,19 +98,15 @@ def calibrate(scene: BenchScene, engine: str, repetitions: int, base: dict[str, 
         folder: For the probe of EEVEE.
 
     Returns:
-        per_sample, denoise: seconds; counts, times: of the renders behind the slope; fixed: what a resident render
-        takes beside its samples; note: what is to be known about the slope; device: what it ran on.
+        per_sample, denoise: seconds; counts, times: of the renders behind the slope; resident: a render of one sample
+        with nothing to take in [s]; note: what is to be known about the slope; device: what it ran on.
     """
     found = {"device": check_eevee(folder) if engine == "eevee" else scene.device}
     scene.persistent = True
     try:
-        first = Job(engine=engine, samples=1, seed=RIVAL_SEED)
-        scene.configure(first)
-        scene.shoot()  # Loads kernels and the scene.
-        check()
+        resident = resident_seconds(scene, Job(engine=engine, samples=1, seed=RIVAL_SEED), check)
         if base is not None:
-            low = min(scene.shoot()[0] for _ in range(repetitions))
-            return {**base, **found, "denoise": max(0.0, low - base["times"][0]), "fixed": low - base["per_sample"]}
+            return {**base, **found, "denoise": max(0.0, resident - base["resident"]), "resident": resident}
 
         def render(count: int) -> float:
             check()
@@ -118,8 +119,19 @@ def calibrate(scene: BenchScene, engine: str, repetitions: int, base: dict[str, 
     if slope.per_sample <= 0.0:
         raise BurnishError(f"No time per sample can be measured: {slope.counts[-1]} samples take "
                            f"{slope.times[-1]:.3f} s, one takes {slope.times[0]:.3f} s; render larger pictures")
-    return {**found, "per_sample": slope.per_sample, "denoise": 0.0, "fixed": slope.fixed, "counts": slope.counts,
+    return {**found, "per_sample": slope.per_sample, "denoise": 0.0, "resident": resident, "counts": slope.counts,
             "times": slope.times, "note": slope.note}
+
+
+def resident_seconds(scene: BenchScene, job: Job, check: Callable[[], None]) -> float:
+    """Return the shortest of a few renders in a row, the scene's persistent data kept between them [s]."""
+    scene.configure(job)
+    scene.shoot()  # Loads kernels and the scene.
+    times: list[float] = []
+    while len(times) < RESIDENT_RENDERS and sum(times) < RESIDENT_SECONDS:
+        check()
+        times.append(scene.shoot()[0])
+    return min(times)
 
 
 def no_time(facts: dict[str, Any]) -> str:

@@ -26,10 +26,10 @@ from .wavefront import Step, Wavefront
 
 __all__ = ["FinalDenoise"]
 
-GUIDE_SAMPLES = 4, 64
-"""Fewest and most jittered first hits a pixel that the guides are averaged of: else as many as the picture has samples,
-of which one takes as long as 16. With fewer than the most the guides are denoised themselves: their noise at edges and
-behind veils would be taken for texture"""
+GUIDE_SAMPLES = 8, 64
+"""Fewest and most jittered first hits a pixel that the guides are averaged of: between, doubled with the samples of the
+picture and at most a quarter of them, beside which they take little time. With fewer than the most the guides are
+denoised themselves: their noise at edges and behind veils would be taken for texture"""
 MIRRORS = 4
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
@@ -47,7 +47,7 @@ class FinalDenoise:
         """Device that filtered the newest picture: "cuda" or "cpu" """
         self._guides: tuple[wp.array, wp.array] | None = None
         self._guide_samples = 0
-        self._prefiltered = False
+        self._clean_guides = False
         """Whether the guides are free of noise: made of most samples, or denoised"""
         self._options: tuple[Options, Options] | None = None
         """The path tracer's and those made of them: the same object again, for what is recorded with it"""
@@ -70,7 +70,9 @@ class FinalDenoise:
             samples: How many the picture has, or frames.
         """
         fewest, most = GUIDE_SAMPLES
-        wanted = min(max(samples, fewest), most)
+        wanted = fewest
+        while 2 * wanted <= min(samples // 4, most):
+            wanted *= 2
         if self._guides is None or self._guide_samples < wanted:
             if self._options is None or self._options[0] is not options:
                 self._options = options, without_roulette(options)
@@ -85,7 +87,7 @@ class FinalDenoise:
                     job(band)()
             else:
                 run_bands(job(band) for band in tracer.bands)
-            self._guides, self._guide_samples, self._prefiltered = (albedo, normal), wanted, wanted == most
+            self._guides, self._guide_samples, self._clean_guides = (albedo, normal), wanted, wanted == most
         return self._guides
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
@@ -115,8 +117,8 @@ class FinalDenoise:
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
             color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean,
-            prefilter=not self._prefiltered))
-        self._prefiltered = True
+            prefilter=not self._clean_guides))
+        self._clean_guides = True
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
         if traced is None:

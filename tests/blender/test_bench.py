@@ -290,3 +290,26 @@ def test_time_left_follows_the_costs(monkeypatch: pytest.MonkeyPatch) -> None:
     progress.begin("c")
     assert lines.printed == ["[1/3] a", "[2/3] b, about 01:10 left", "[3/3] c, about 00:20 left"]
     assert lines.shown[-1].startswith("[" + 12 * "#" + 12 * " " + "] 50 %")
+
+
+@pytest.mark.parametrize(("latency", "each", "rest", "budget", "first", "expected"), [
+    (0.008, 0.003, 0.007, 0.0300, 2, 5),  # Too low a guess, a long tail shared by all samples.
+    (0.008, 0.003, 0.007, 0.0300, 40, 5),
+    (0.000, 0.003, 0.001, 0.0300, 9, 9),
+    (0.000, 0.003, 0.001, 0.0100, 3, 3),
+    (0.008, 0.003, 0.007, 0.0182, 7, 1),
+    (0.008, 0.003, 0.007, 0.0100, 7, 0),
+    (0.008, 0.003, 0.007, 0.5000, 100, 164),
+])
+def test_budget_is_filled_with_frames(latency, each, rest, budget, first, expected):
+    """Find how many frames fit where the first costs more than the others; a few tries are enough."""
+    tried: list[int] = []
+
+    def measure(frames: int) -> tuple[float, float]:
+        tried.append(frames)
+        return latency + each * frames + rest, rest
+
+    found = bench_plan.most_frames(measure, budget, first)
+    assert len(tried) <= bench_plan.ATTEMPTS + 1 and len(set(tried)) == len(tried)
+    most = bench_plan.FULL * expected if expected > 20 else expected
+    assert most <= found <= max(expected, bench_plan.TOLERANCE * expected)

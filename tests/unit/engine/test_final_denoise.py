@@ -164,14 +164,12 @@ def test_guides_of_few_samples_are_denoised_once(monkeypatch):
         return "cpu"
 
     monkeypatch.setattr(final_denoise.oidn, "denoise", filtered)
-    monkeypatch.setattr(final_denoise, "GUIDE_SAMPLES", (2, 4))
     made = open_session(Integrator.REFERENCE)
-    made.step(3)
-    made.read_denoised(None)
-    made.read_denoised(None)
-    made.step(1)
-    made.read_denoised(None)
-    assert asked == [True, False, False]
+    monkeypatch.setattr(final_denoise, "GUIDE_SAMPLES", (1, 4))
+    for more in (3, 1, 4, 8):  # Guides of 1 for up to 7 samples, 2 for 8, 4 for 16.
+        made.step(more)
+        made.read_denoised(None)
+    assert asked == [True, False, True, False]
 
 
 def test_guides_are_filtered_in_place(library):
