@@ -35,6 +35,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     Preset.BALANCED: MappingProxyType({}),
     Preset.FINE: MappingProxyType({
         "probes.spawn_tile": 8,
+        "probes.half_rate": False,
         "cache.cell_pixels": 16.0,
         "cache.capacity": 22,
         "cache.bounce_share": 0.5,
@@ -46,6 +47,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "reflections.bounces": 12,
     }),
     Preset.PAPER: MappingProxyType({
+        "probes.half_rate": False,
         "probes.contact_detail": True,
         "probes.energy_exact": False,
         "cache.minimum_cell": 0.1,

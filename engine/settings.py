@@ -201,6 +201,9 @@ class ProbeSettings:
     specular_rays: bool = setting(
         True, "Send some of the rays into the reflection, so that the cache has cells where reflections look: slightly "
         "more noise in diffuse light")
+    half_rate: bool = setting(
+        True, "Update every other probe that may wait while something moves: half the probe, bounce and shadow rays, "
+        "slightly more noise in motion")
     contact_detail: bool = setting(
         False, "Find indirect light and shadow between probes from nearby pixels: slightly finer corners and contacts "
         "for a search around every pixel, the dearest pass of all")

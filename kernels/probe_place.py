@@ -9,7 +9,7 @@ from .gbuffer import GBuffer, Surface, barycentrics_of, load_material, load_surf
 from .geometry_math import luminance
 from .intersect import Hit, surface_point
 from .packing import pack_normal, unpack_normal
-from .probe_spawn import WINDOW_STEP, on_surface, separated, served_tile
+from .probe_spawn import WINDOW_STEP, may_wait, on_surface, separated, served_tile
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .sampling import hashed_unit
 from .types import Scene
@@ -86,6 +86,9 @@ def place_updates(
             tiles.rank[grid.tile_columns * grid.tile_rows - 1], view.frame, tiles.empty_list)
         if served >= 0:
             tile = served
+        elif tile >= 0:
+            if may_wait(grid, view, tiles, pool, update):
+                tile = -1
     updates_out.tile[update] = tile
     updates_out.slot[update] = -1
     if tile < 0:

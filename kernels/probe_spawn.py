@@ -16,7 +16,7 @@ from .packing import unpack_normal
 from .probe_map import cell_of, to_local
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .sampling import to_unit
-from .view import View, pixel_footprint, project
+from .view import View, pixel_footprint, project, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -33,6 +33,10 @@ WINDOW_STEP = wp.constant(97)
 # Share of the way to a point at which a probe's rays may end without anything standing between them: the mean of
 # inverse distances lies a fifth below the distance from the mean place where a tile meets a wall.
 SEPARATION = wp.constant(0.8)
+
+# Frames of light, and those that a probe has averaged, from which on updates may wait: before, every ray counts.
+SETTLED_FRAMES = wp.constant(16.0)
+SETTLED_COUNT = wp.constant(8.0)
 
 SLOT_BITS = wp.constant(wp.int64(4294967295))
 
@@ -216,6 +220,32 @@ def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
     return y * grid.tile_columns + x
 
 
+@wp.func
+def take_turns(grid: ProbeGrid, view: View) -> bool:
+    """Return whether in each frame every other spawn tile may leave its update to the next frame."""
+    return grid.half_rate == 1 and view.rest == 0 and settling_frames(view) >= SETTLED_FRAMES
+
+
+@wp.func
+def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
+    """Return whether a spawn tile whose tiles all have a probe leaves its update to the next frame.
+
+    On one colour of a checkerboard, and not where one of the probes is new or has met a change of light.
+    """
+    color = update % grid.update_columns + update // grid.update_columns + view.frame
+    if not take_turns(grid, view) or (color & 1) == 0:
+        return False
+    least = SETTLED_COUNT
+    i = int(0)
+    while i < grid.side * grid.side:
+        tile = turn_tile(grid, update, i)
+        if tile >= 0:
+            if tiles.seed[tile] >= 0 and tiles.probe[tile] >= 0:
+                least = wp.min(least, pool.count[tiles.probe[tile]])
+        i = i + 1
+    return least >= SETTLED_COUNT
+
+
 @wp.kernel
 def choose_tiles(
     first: int,
@@ -228,12 +258,14 @@ def choose_tiles(
 ):
     """Choose the tile of each spawn tile that needs an update most: an empty one, else the one whose turn it is."""
     update = first + wp.tid()
-    frame = views[0].frame
+    turn = views[0].frame
+    if take_turns(grid, views[0]):
+        turn = turn // 2
     missing = int(-1)
     covered = int(-1)
     i = int(0)
     while missing < 0 and i < grid.side * grid.side:
-        tile = turn_tile(grid, update, frame % (grid.side * grid.side) + i)
+        tile = turn_tile(grid, update, turn % (grid.side * grid.side) + i)
         if tile >= 0:
             if tiles.seed[tile] >= 0:
                 if tiles.claim[tile] < wp.int64(0):

@@ -41,6 +41,8 @@ class ProbeGrid:
     guided: int
     filtered: int
     specular: int
+    half_rate: int
+    """1: updates that may wait take turns while something moves"""
     exact: int
     """0: the published estimator"""
     history: float

@@ -98,6 +98,7 @@ class ScreenProbePass:
         grid.slots = windows * self.update_count
         grid.persistent, grid.guided = int(self.settings.persistence), int(self.settings.guiding)
         grid.filtered, grid.specular = int(self.settings.filtering), int(self.settings.specular_rays)
+        grid.half_rate = int(self.settings.half_rate)
         grid.exact, grid.history = int(self.settings.energy_exact), float(self.settings.history)
         self.grid = grid
         self.pool = self._allocate(ProbePool, POOL, grid.slots)
