@@ -72,11 +72,14 @@ class FlatStructure:
         """(instance, triangle) per face"""
         self._nothing = wp.empty(0, dtype=wp.uint32, device=device)
 
-    def build(self, points: wp.array, indices: list[np.ndarray], faces: list[np.ndarray]) -> None:
+    def build(
+        self, points: wp.array, indices: list[np.ndarray], faces: list[np.ndarray], *, splitting: bool = True,
+    ) -> None:
         """Build over triangles: indices into world-space points and (instance, triangle) of each, in parts."""
         if sum(len(part) for part in indices) == 0:
             return
-        self.wide = build_wide(points, wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device))
+        self.wide = build_wide(
+            points, wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device), splitting=splitting)
         self.faces = wp.array(np.concatenate(faces), dtype=wp.vec2i, device=self.device)
 
     def struct(self) -> FlatTriangles:
@@ -175,7 +178,8 @@ class Structures:
             wp.array(np.concatenate(vertex_instance), dtype=int, device=self.device),
             wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
         self.opaque.build(points, opaque_index, opaque_face)
-        self.filtered.build(points, filtered_index, filtered_face)
+        # Queries for layers would meet a triangle of two references twice.
+        self.filtered.build(points, filtered_index, filtered_face, splitting=False)
 
     def _local_mesh(self, plan: InstancePlan, instance: int, store: GeometryStore, moving: bool) -> _LocalMesh:
         key = plan.mesh_keys[plan.mesh_index[instance]]

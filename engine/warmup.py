@@ -99,6 +99,7 @@ from ..kernels import (
     shadow_layers_lean,
     shadow_lights,
     tracing,
+    triangle_split,
     wide_bvh_build,
     wide_bvh_edit,
 )
@@ -108,9 +109,9 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, path_lists, tracing, flat_tracing, flat_paths, flatten, cluster_tree, wide_bvh_build,
-    wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim, cache_debug, cache_lights, cache_rays,
-    cache_shade, cache_spread, composite, composite_debug, denoise_debug, gather_blend, gather_temporal,
+    film, display, compaction, path_lists, tracing, flat_tracing, flat_paths, flatten, cluster_tree, triangle_split,
+    wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim, cache_debug, cache_lights,
+    cache_rays, cache_shade, cache_spread, composite, composite_debug, denoise_debug, gather_blend, gather_temporal,
     probe_contact, diffuse_blur, diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters,
     direct_shadow, direct_temporal, gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather,
     probe_interpolate, probe_light, probe_map, probe_place, probe_records, probe_sample, probe_spawn, reproject,

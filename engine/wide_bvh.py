@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds the 8-wide BVH of kernels/wide_bvh.py: a binary tree by clustering, then collapsed."""
+"""Builds the 8-wide BVH of kernels/wide_bvh.py: triangles are split, clustered to a binary tree, then collapsed."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from ..kernels import cluster_tree
+from ..kernels import cluster_tree, triangle_split
 from ..kernels import wide_bvh_build as kernels
 from ..kernels.wide_bvh import MAX_DEPTH, NODE_WORDS, TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
 from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
+from .shadow_rays import make_queue
 
 __all__ = ["WideBvh", "build_wide"]
 
@@ -32,33 +33,63 @@ rooms have about 110 slow rounds, which take little time, as few clusters are le
 MAX_TRIANGLES = (2**31 - 1) // 18
 """Of a binary tree's nodes, twice as many, each has nine values in an array that is indexed by int32"""
 
+SPLIT_SHARE = 0.3
+"""Most references more than triangles, as a share of these: of triangle splitting, 0.1 brings two thirds of what 0.3
+does, and 0.5 hardly more"""
+
+SPLIT_AREA = 0.65
+"""Share of the boxes' area to which splitting must bring it. Where long slats lie askew rays meet half as many boxes and
+triangles then; where few triangles do, more references spoil the tree as much as smaller boxes mend it"""
+
+FACTORS = 20
+"""Powers of two that are tried for the factor of splits: no triangle is split for less than 2**-40 of the scene"""
+
 BAND = 4096
 """Elements for which another thread is worth its start"""
 
 
 @dataclass
 class WideBvh:
-    """An 8-wide BVH over N triangles, on one device."""
+    """An 8-wide BVH over N references to triangles, or parts of them, on one device."""
 
     nodes: wp.array
     """uint32 [20 * nodes], level by level"""
     triangles: wp.array
-    """uint32 [12 * N]"""
+    """uint32 [12 * N], by reference"""
     levels: list[tuple[int, int]]
     """First node and count of each"""
+    split: bool
+    """Whether some triangles have more than one reference"""
 
     def take_out(self, faces: wp.array, leaving: wp.array) -> None:
         """Take out the triangles of instances, in place, and shrink the boxes above them.
 
         Args:
-            faces: vec2i [N], (instance, triangle) of each face.
+            faces: vec2i, (instance, triangle) of each face.
             leaving: int, 1 for every instance that leaves.
         """
         device = self.nodes.device.alias
         launch(mark_gone, len(self.triangles) // TRIANGLE_WORDS, [faces, leaving], [self.triangles], device)
         lower, upper = (wp.empty(len(self.nodes) // NODE_WORDS, dtype=wp.vec3, device=device) for _ in range(2))
         for first, count in reversed(self.levels):
-            launch(refit_nodes, count, [first, self.triangles], [self.nodes, lower, upper], device)
+            launch(refit_nodes, count, [first, self.triangles, int(self.split)], [self.nodes, lower, upper], device)
+
+
+@dataclass
+class _References:
+    """Parts of triangles: N items of a tree."""
+
+    faces: wp.array
+    """int [N], the triangle"""
+    steps: wp.array
+    """vec2ui [N], see triangle_split.part_box"""
+    lower: wp.array
+    upper: wp.array
+
+    @property
+    def area(self) -> float:
+        """Return half the area of all boxes."""
+        return _half_area(self.lower.numpy(), self.upper.numpy())
 
 
 @dataclass
@@ -72,12 +103,13 @@ class _Binary:
     """First node and count, children in batches before those of their parents"""
 
 
-def build_wide(points: wp.array, indices: wp.array) -> WideBvh:
+def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -> WideBvh:
     """Build the structure over triangles.
 
     Args:
         points: vec3 [V]; triangles that are not finite are never hit.
         indices: int [3 * N], N > 0.
+        splitting: Whether large slanted triangles may get several references, where that pays.
 
     Raises:
         InvalidScene: There are too many triangles.
@@ -87,17 +119,64 @@ def build_wide(points: wp.array, indices: wp.array) -> WideBvh:
         raise InvalidScene(
             f"The scene has {count:,} triangles outside of instances, more than the {MAX_TRIANGLES:,} that Burnish can "
             "keep; let objects share their meshes, or hide some")
-    lower, upper = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
-    launch(kernels.triangle_bounds, count, [points, indices], [lower, upper], device)
+    whole = _whole(points, indices)
+    parts = (_split(points, indices, whole) if splitting else None) or whole
     # Sizes that grow from triangle to triangle may make a chain, shorter without patience. Pairs along the curve make a
     # tree of at most as many levels as the count has bits.
     for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
-        nodes, items, levels = _collapse(_cluster(lower, upper, radius, patience), count)
+        nodes, items, levels = _collapse(_cluster(parts.lower, parts.upper, radius, patience), len(parts.faces))
         if len(levels) <= MAX_DEPTH:
             break
-    triangles = wp.empty(TRIANGLE_WORDS * count, dtype=wp.uint32, device=device)
-    launch(kernels.write_triangles, count, [points, indices, items], [triangles], device)
-    return WideBvh(nodes, triangles, levels)
+    triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
+    launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [triangles], device)
+    return WideBvh(nodes, triangles, levels, parts is not whole)
+
+
+def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:
+    """Return half the area of boxes, float [N, 3] each; those that are not finite have none."""
+    with np.errstate(all="ignore"):
+        x, y, z = (upper.astype(np.float64) - lower).T
+        area = x * y + y * z + z * x
+    return float(area[np.isfinite(area)].sum())
+
+
+def _whole(points: wp.array, indices: wp.array) -> _References:
+    """Return one reference to each triangle."""
+    device, count = points.device.alias, len(indices) // 3
+    lower, upper = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
+    launch(kernels.triangle_bounds, count, [points, indices], [lower, upper], device)
+    return _References(make_queue(count, device), wp.zeros(count, dtype=wp.vec2ui, device=device), lower, upper)
+
+
+def _split(points: wp.array, indices: wp.array, whole: _References) -> _References | None:
+    """Return references to triangles, one to most of them, more to large slanted ones; None where that doesn't pay."""
+    device, count, area = points.device.alias, len(indices) // 3, whole.area
+    priority = wp.empty(count, dtype=float, device=device)
+    launch(triangle_split.find_priorities, count, [points, indices, whole.lower, whole.upper], [priority], device)
+    # At least the area that splitting without end would take away.
+    if not np.square(priority.numpy(), dtype=np.float64).sum() > (1.0 - SPLIT_AREA) * area:
+        return None
+    room = min(count + int(SPLIT_SHARE * count), MAX_TRIANGLES)
+    parts, ends = (wp.empty(count, dtype=int, device=device) for _ in range(2))
+
+    def total_with(factor: float) -> int:
+        launch(triangle_split.count_parts, count, [priority, factor], [parts], device)
+        wp.utils.array_scan(parts, ends)
+        return int(ends[count - 1:].numpy()[0])
+
+    # The largest factor with which there is room for all parts.
+    low, high = 0.0, float(FACTORS)
+    size = max(float((whole.upper.numpy().max(0) - whole.lower.numpy().min(0)).max()), 1e-30)
+    for _ in range(FACTORS // 2):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if total_with(2.0**middle / size) <= room else (low, middle)
+    total = total_with(2.0**low / size if low > 0.0 else 0.0)
+    made = _References(
+        wp.empty(total, dtype=int, device=device), wp.empty(total, dtype=wp.vec2ui, device=device),
+        *(wp.empty(total, dtype=wp.vec3, device=device) for _ in range(2)))
+    launch(triangle_split.split_triangles, count, [points, indices, whole.lower, whole.upper, ends],
+           [wp.empty(total, dtype=int, device=device), made.faces, made.steps, made.lower, made.upper], device)
+    return made if made.area <= SPLIT_AREA * area else None
 
 
 def _launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:

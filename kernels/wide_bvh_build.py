@@ -351,16 +351,20 @@ def write_triangles(
     # In:
     points: wp.array[wp.vec3],
     indices: wp.array[int],
+    items: wp.array[int],
     faces: wp.array[int],
+    steps: wp.array[wp.vec2ui],
     # Out:
     words_out: wp.array[wp.uint32],
 ):
-    """Write triangles in the order of the leaves."""
+    """Write the triangles of references, `items`, in the order of the leaves, and which part each stands for."""
     i = wp.tid()
-    face = faces[i]
+    face = faces[items[i]]
     for k in range(3):
         point = points[indices[3 * face + k]]
         words_out[TRIANGLE_WORDS * i + 4 * k] = wp.cast(point[0], wp.uint32)
         words_out[TRIANGLE_WORDS * i + 4 * k + 1] = wp.cast(point[1], wp.uint32)
         words_out[TRIANGLE_WORDS * i + 4 * k + 2] = wp.cast(point[2], wp.uint32)
-        words_out[TRIANGLE_WORDS * i + 4 * k + 3] = wp.uint32(face)
+    words_out[TRIANGLE_WORDS * i + 3] = wp.uint32(face)
+    words_out[TRIANGLE_WORDS * i + 7] = steps[items[i]][0]
+    words_out[TRIANGLE_WORDS * i + 11] = steps[items[i]][1]

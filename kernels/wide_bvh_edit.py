@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .triangle_split import Box, part_box
 from .wide_bvh import NODE_WORDS, TRIANGLE_WORDS
 from .wide_bvh_build import Grid, add_box, add_byte, grid_about, write_grid
 
@@ -34,7 +35,7 @@ def mark_gone(
     # Out:
     triangles_out: wp.array[wp.uint32],
 ):
-    """Mark the triangles of all instances for which `leaving` is 1; `faces` holds (instance, triangle) by face."""
+    """Mark all references to instances for which `leaving` is 1; `faces` holds (instance, triangle) by face."""
     word = TRIANGLE_WORDS * wp.tid() + 3
     face = triangles_out[word]
     if face != GONE:
@@ -50,9 +51,21 @@ def corner_at(triangles: wp.array[wp.uint32], word: int) -> wp.vec3:
 
 
 @wp.func
+def reference_box(triangles: wp.array[wp.uint32], word: int, split: int) -> Box:
+    """Return the box of the part of a triangle that a reference stands for."""
+    p = corner_at(triangles, word)
+    q = corner_at(triangles, word + 4)
+    r = corner_at(triangles, word + 8)
+    steps = wp.vec2ui(wp.uint32(0), wp.uint32(0))
+    if split == 1:
+        steps = wp.vec2ui(triangles[word + 7], triangles[word + 11])
+    return part_box(wp.min(p, wp.min(q, r)), wp.max(p, wp.max(q, r)), steps)
+
+
+@wp.func
 def child_in(
     words: wp.array[wp.uint32], triangles: wp.array[wp.uint32], lower: wp.array[wp.vec3], upper: wp.array[wp.vec3],
-    base: int, meta: wp.uint32, node: int,
+    base: int, meta: wp.uint32, node: int, split: int,
 ) -> Child:
     """Return a slot's child without the triangles that are gone; `node` is the child's number where it is a node."""
     child = Child()
@@ -71,10 +84,9 @@ def child_in(
         if (meta & bit) != wp.uint32(0):
             if triangles[word + 3] != GONE:
                 child.meta = child.meta | bit
-                for corner in range(3):
-                    point = corner_at(triangles, word + 4 * corner)
-                    child.low = wp.min(child.low, point)
-                    child.high = wp.max(child.high, point)
+                part = reference_box(triangles, word, split)
+                child.low = wp.min(child.low, part.low)
+                child.high = wp.max(child.high, part.high)
     if child.meta != wp.uint32(0):
         child.meta = child.meta | (meta & wp.uint32(31))
     return child
@@ -85,6 +97,7 @@ def refit_nodes(
     # In:
     first: int,
     triangles: wp.array[wp.uint32],
+    split: int,
     # Out:
     words_out: wp.array[wp.uint32],
     lower_out: wp.array[wp.vec3],
@@ -92,7 +105,7 @@ def refit_nodes(
 ):
     """Write a level's nodes from number `first` on anew, those of the levels below done.
 
-    What is empty now keeps its number and, where it is a node, its bit among those that are: both count for others.
+    `split` 1: triangles may be parts, see triangle_split.py. What is empty now keeps its number and, where it is a node, its bit among those that are: both count for others.
     """
     node = first + wp.tid()
     base = NODE_WORDS * node
@@ -108,7 +121,7 @@ def refit_nodes(
         slot = int(0)
         while slot < 8:
             byte = (meta[slot // 4] >> wp.uint32(8 * (slot % 4))) & wp.uint32(255)
-            child = child_in(words_out, triangles, lower_out, upper_out, base, byte, number)
+            child = child_in(words_out, triangles, lower_out, upper_out, base, byte, number, split)
             if child.meta != wp.uint32(0):
                 if turn == 0:
                     low = wp.min(low, child.low)
