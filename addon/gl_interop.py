@@ -15,7 +15,7 @@ from typing import Any
 import gpu
 import numpy as np
 
-__all__ = ["SharedTexture", "SharedTextures", "forget_probe", "gl_texture_name", "probe"]
+__all__ = ["SharedTexture", "SharedTextures", "gl_texture_name", "probe"]
 
 log = logging.getLogger(__name__)
 
@@ -106,11 +106,6 @@ def probe(device: str) -> bool:
     if device not in _probed:
         _probed[device] = device.startswith("cuda") and gpu.platform.backend_type_get() == 'OPENGL' and _try(device)
     return _probed[device]
-
-
-def forget_probe() -> None:
-    """Try again at the next probe (another preference, tests)."""
-    _probed.clear()
 
 
 def _try(device: str) -> bool:

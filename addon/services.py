@@ -113,5 +113,4 @@ def make_services() -> Any:
         report_text=report.published_text,
         diagnostics_text=diagnostics_text,
         start_warm_up=start_warm_up,
-        preferences_name=preferences.PACKAGE,
     )

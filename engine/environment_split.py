@@ -16,10 +16,10 @@ from ..kernels.lamp_hit import FAR
 from ..kernels.paths import PENDING_WORLD
 from ..kernels.shadow_lights import shade_lights
 from .alias_table import build_alias_table
-from .device import block_size, run_bands
+from .device import launch, run_bands
 from .environment import UNIFORM_SHARE, no_environment
-from .shadow_rays import make_options, make_queue, make_shadow_rays, one_number
-from .work_list import ONCE
+from .shadow_rays import make_options, make_shadow_rays
+from .work_list import ONCE, make_queue, one_number
 
 __all__ = ["no_split", "split_environment"]
 
@@ -188,8 +188,7 @@ def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.nda
     """Return the world's radiance, float64 [N, 3]: the path tracer's kernel for rays that wait for the world."""
     size = min(CHUNK, len(directions))
     rays, queue = make_shadow_rays(size, device, layers=False, programs=True), make_queue(size, device)
-    options, block = make_options(filtered=False), block_size(shade_lights.module.name, device)
-    wp.load_module(shade_lights.module.name, device=device, block_dim=block)
+    options = make_options(filtered=False)
     rays.shadow_pending.fill_(int(PENDING_WORLD))
     rays.shadow_light.fill_(wp.vec3(1.0, 1.0, 1.0))
     result = np.zeros((len(directions), 3))
@@ -203,9 +202,8 @@ def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.nda
         rays.radiance.zero_()
         edges = [len(chunk) * i // parts for i in range(parts + 1)]
         run_bands([
-            lambda a=a, b=b: wp.launch(
-                shade_lights, b - a, [scene, options, none, ONCE, whole, queue[a:b]], [rays], device=device,
-                block_dim=block)
+            lambda a=a, b=b: launch(
+                shade_lights, b - a, [scene, options, none, ONCE, whole, queue[a:b]], [rays], device)
             for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
         result[low : low + len(chunk)] = rays.radiance.numpy()[: len(chunk), :3]
     return result

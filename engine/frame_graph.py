@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from .device import record, run_bands, thread_count
-from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList
+from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList, one_number
 
 __all__ = ["FrameGraph"]
 
@@ -138,8 +138,7 @@ class FrameGraph:
 
         Such kernels write only their own path, so a band takes a part of the queue.
         """
-        count = wp.array([len(queue)], dtype=int, device=self.device)
-        self._launch_queue(kernel, [*inputs, ONCE, count], queue, outputs)
+        self._launch_queue(kernel, [*inputs, ONCE, one_number(len(queue), self.device)], queue, outputs)
 
     def _launch_queue(self, kernel: wp.Kernel, inputs: list, queue: wp.array, outputs: list) -> None:
         step = self._step(kernel.key, [*inputs, queue], outputs)

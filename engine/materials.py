@@ -27,7 +27,7 @@ from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
 from .scene import CameraData, CameraKind, InstanceTable, MaterialData
 
-__all__ = ["MaterialTable", "attribute_names", "default_material", "materials_in_use", "uv_map_names"]
+__all__ = ["MaterialTable", "attribute_names", "default_material", "materials_in_use"]
 
 END = (codes.OP_END, 0, 0, 0)
 
@@ -54,11 +54,6 @@ def materials_in_use(table: InstanceTable, used_slots: list[np.ndarray], drawn: 
         chosen = table.material_sets[index]
         keys.update(chosen[min(slot, len(chosen) - 1)] for slot in used_slots[mesh].tolist())
     return keys
-
-
-def uv_map_names(programs: Iterable[Program]) -> list[str]:
-    """Return all UV maps that the programs read, sorted; the empty name is the active render map."""
-    return sorted({name for program in programs for name in program.uv_maps})
 
 
 def attribute_names(programs: Iterable[Program]) -> list[str]:

@@ -293,13 +293,12 @@ class Pipeline:
                 each.record_rays(
                     graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
-        rays, count = self.probes.record_rays(graph, parity, kernels_scene, views, surfaces)
+        rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
             filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency,
             world=scene.world_texels, started=True, after=branches, sweeping=sweeping)
-        indirect = self.probes.record_light(
-            graph, parity, kernels_scene, views, surfaces, color, reprojection)
+        indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
         filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
         shown = {}
         for each in traced:
@@ -307,7 +306,7 @@ class Pipeline:
                 samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
                 with graph.section(f"{each.title} denoising"):
                     shown[each] = filters[each].record(
-                        graph, parity, kernels_scene, views, surfaces, before, reprojection, each.options, samples,
+                        graph, parity, views, surfaces, before, reprojection, each.options, samples,
                         jitter=self._settings.reflections.jitter)
         with graph.section("Diffuse denoising"):
             indirect = self.diffuse_denoise.record(graph, parity, views, surfaces, before, reprojection, indirect)
@@ -320,7 +319,7 @@ class Pipeline:
         graph.join("direct light", *branches)
         with graph.section("Composite"):
             picture = self.composite.record(
-                graph, parity, kernels_scene, views, surfaces, reprojection, direct, indirect,
+                graph, parity, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
                 self.reflections.options if self.reflections in traced else None, gathered)
         if self._debug is not None:

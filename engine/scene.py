@@ -91,8 +91,6 @@ class InstanceTable:
     """uint32 [N], Blender's per-instance random id (Object Info)"""
     color: np.ndarray
     """float32 [N, 4], Object.color"""
-    dynamic: np.ndarray | None = None
-    """bool [N] or None: instances that moved in this update (they leave the flattened structure)"""
 
     @staticmethod
     def empty() -> InstanceTable:

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shadow rays outside of the path tracer: their states, queue and options."""
+"""Shadow rays outside of the path tracer: their states and options."""
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from ..kernels.paths import Options, Paths
 from ..kernels.shading_types import Closure
 
-__all__ = ["make_options", "make_queue", "make_shadow_rays", "one_number"]
+__all__ = ["make_options", "make_shadow_rays"]
 
 RAY = {"shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float}
 """What every shadow ray has"""
@@ -51,16 +50,6 @@ def make_shadow_rays(count: int, device: str, *, layers: bool, programs: bool) -
         for name, dtype in arrays.items():
             setattr(paths, name, wp.zeros(size, dtype=dtype, device=device))
     return paths
-
-
-def make_queue(count: int, device: str) -> wp.array:
-    """Return the queue of all slots in order."""
-    return wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
-
-
-def one_number(value: int, device: str) -> wp.array:
-    """Return an array of one number, for kernels that may find another there at every launch."""
-    return wp.array([value], dtype=int, device=device)
 
 
 def make_options(*, filtered: bool) -> Options:

@@ -178,7 +178,7 @@ class Structures:
             wp.array(np.concatenate(vertex_instance), dtype=int, device=self.device),
             wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
         self.opaque.build(points, opaque_index, opaque_face)
-        # Queries for layers would meet a triangle of two references twice.
+        # A layer is met once, by which its search goes on.
         self.filtered.build(points, filtered_index, filtered_face, splitting=False)
 
     def _local_mesh(self, plan: InstancePlan, instance: int, store: GeometryStore, moving: bool) -> _LocalMesh:

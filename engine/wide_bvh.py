@@ -15,7 +15,7 @@ from ..kernels.wide_bvh import MAX_DEPTH, NODE_WORDS, TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
 from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
-from .shadow_rays import make_queue
+from .work_list import make_queue
 
 __all__ = ["WideBvh", "build_wide"]
 
@@ -38,8 +38,8 @@ SPLIT_SHARE = 0.3
 does, and 0.5 hardly more"""
 
 SPLIT_AREA = 0.65
-"""Share of the boxes' area to which splitting must bring it. Where long slats lie askew rays meet half as many boxes and
-triangles then; where few triangles do, more references spoil the tree as much as smaller boxes mend it"""
+"""Share of the boxes' area to which splitting must bring it. Where long slats lie askew rays then meet half as many
+boxes and triangles; where few triangles do, more references spoil the tree as much as smaller boxes mend it"""
 
 FACTORS = 20
 """Powers of two that are tried for the factor of splits: no triangle is split for less than 2**-40 of the scene"""

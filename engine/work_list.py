@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-__all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "make_work_list"]
+__all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "make_queue", "make_work_list", "one_number"]
 
 LISTED_THREADS = 1 << 18
 """Most threads that share a list's elements: some times what a large GPU has at work at a time, so that blocks that
@@ -40,10 +40,18 @@ class WorkList:
         return WorkList(self.queue[first : first + count], self.count)
 
 
+def one_number(value: int, device: str) -> wp.array:
+    """Return an array of one number, for kernels that may find another there at every launch."""
+    return wp.array([value], dtype=int, device=device)
+
+
+def make_queue(count: int, device: str) -> wp.array:
+    """Return the queue of all elements in order."""
+    return wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
+
+
 def make_work_list(capacity: int, device: str) -> WorkList:
     """Return a list with room for so many elements; on the processor it holds them all."""
     if wp.get_device(device).is_cuda:
-        return WorkList(wp.zeros(capacity, dtype=int, device=device), wp.zeros(1, dtype=int, device=device))
-    return WorkList(
-        wp.array(np.arange(capacity, dtype=np.int32), dtype=int, device=device),
-        wp.array([capacity], dtype=int, device=device))
+        return WorkList(wp.zeros(capacity, dtype=int, device=device), one_number(0, device))
+    return WorkList(make_queue(capacity, device), one_number(capacity, device))

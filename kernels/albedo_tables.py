@@ -267,6 +267,12 @@ def cell_of(x: float, count: int) -> wp.vec2:
 
 
 @wp.func
+def mix_square(square: wp.vec4, y: float, x: float) -> float:
+    """Interpolate between the entries of a square, in load_square's order."""
+    return wp.lerp(wp.lerp(square[0], square[1], x), wp.lerp(square[2], square[3], x), y)
+
+
+@wp.func
 def look_up_1d(table: wp.array[float], x: float, count: int) -> float:
     """Interpolate table[x]."""
     cx = cell_of(x, count)
@@ -279,8 +285,7 @@ def look_up_2d(table: wp.array2d[float], y: float, x: float, count: int) -> floa
     """Interpolate table[y, x]."""
     cx = cell_of(x, count)
     cy = cell_of(y, count)
-    t = load_square(table, int(cy[0]), int(cx[0]), count)
-    return wp.lerp(wp.lerp(t[0], t[1], cx[1]), wp.lerp(t[2], t[3], cx[1]), cy[1])
+    return mix_square(load_square(table, int(cy[0]), int(cx[0]), count), cy[1], cx[1])
 
 
 @wp.func
@@ -290,11 +295,9 @@ def look_up_3d(table: wp.array3d[float], z: float, y: float, x: float) -> float:
     cy = cell_of(y, GLASS_NODES)
     cz = cell_of(z, GLASS_NODES)
     slab = int(cz[0])
-    s = load_slab_square(table, slab, int(cy[0]), int(cx[0]), GLASS_NODES)
-    t = load_slab_square(table, slab + 1, int(cy[0]), int(cx[0]), GLASS_NODES)
-    low = wp.lerp(wp.lerp(s[0], s[1], cx[1]), wp.lerp(s[2], s[3], cx[1]), cy[1])
-    high = wp.lerp(wp.lerp(t[0], t[1], cx[1]), wp.lerp(t[2], t[3], cx[1]), cy[1])
-    return wp.lerp(low, high, cz[1])
+    low = load_slab_square(table, slab, int(cy[0]), int(cx[0]), GLASS_NODES)
+    high = load_slab_square(table, slab + 1, int(cy[0]), int(cx[0]), GLASS_NODES)
+    return wp.lerp(mix_square(low, cy[1], cx[1]), mix_square(high, cy[1], cx[1]), cz[1])
 
 
 @wp.func

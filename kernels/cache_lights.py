@@ -8,11 +8,11 @@ import warp as wp
 from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, Vertices, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
-from .intersect import MISS, surface_point
+from .intersect import surface_point
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
-from .paths import ENDED, PENDING_NONE, PENDING_WORLD, Paths, load_hit
+from .paths import PENDING_NONE, PENDING_WORLD, Paths, has_hit, load_hit
 from .sampling import sample_number, sample_pair
 from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 from .view import View
@@ -55,7 +55,7 @@ def choose_cache_lights(
     slot = first + wp.tid()
     paths_out.shadow_distance[slot] = 0.0
     paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if paths_out.state[slot] == ENDED or paths_out.hit[slot][0] == MISS or scene.lights.class_count == 0:
+    if not has_hit(paths_out, slot) or scene.lights.class_count == 0:
         return
     reflectance = vertices.reflectance[slot]
     if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:

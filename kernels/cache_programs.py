@@ -8,7 +8,7 @@ import warp as wp
 from .geometry_math import is_finite3
 from .intersect import surface_point
 from .nodes import run, world_point
-from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
+from .paths import PENDING_TRIANGLE, Paths, make_hit, waits_for_program
 from .types import VISIBLE_DIFFUSE, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -17,16 +17,15 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 @wp.func
 def finish_light(scene: Scene, paths: Paths, slot: int):
     """Keep the light of one shadow ray, if it waits for a program."""
-    distance = paths.shadow_distance[slot]
-    pending = paths.shadow_pending[slot]
-    if distance == 0.0 or pending == PENDING_NONE:
+    if not waits_for_program(paths, slot):
         return
+    distance = paths.shadow_distance[slot]
     paths.shadow_distance[slot] = 0.0
     direction = paths.shadow_direction[slot]
     # Unfiltered: a sun of a few texels must keep the brightness for which the table chose it.
     point = world_point(direction, VISIBLE_DIFFUSE, 2, 0.0)
     start = scene.materials.world_start
-    if pending == PENDING_TRIANGLE:
+    if paths.shadow_pending[slot] == PENDING_TRIANGLE:
         hit = make_hit(wp.abs(distance), paths.shadow_emitter[slot], paths.shadow_barycentrics[slot])
         point = surface_point(scene, hit, direction)
         point.ray_visibility = VISIBLE_DIFFUSE

@@ -11,7 +11,7 @@ import warp as wp
 from .cache_materials import LEFT
 from .gbuffer_store import LEFT as PIXEL_LEFT
 from .intersect import MISS
-from .paths import ENDED, PENDING_NONE, Paths
+from .paths import ENDED, Paths, has_layers, has_shadow_layers, waits_for_program
 from .pixel_order import pixel_in_blocks
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -43,7 +43,7 @@ def append_layered_paths(
 ):
     """Append the paths, from slot `offset` on, that a triangle that needs a test stands in the way of."""
     path = offset + wp.tid()
-    if paths.state[path] != ENDED and paths.layer[path][0] != MISS:
+    if has_layers(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
@@ -57,7 +57,7 @@ def append_layered_shadows(
 ):
     """Append the shadow rays that a triangle that needs a test stands in the way of."""
     path = wp.tid()
-    if paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS:
+    if has_shadow_layers(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
@@ -71,7 +71,7 @@ def append_pending_shadows(
 ):
     """Append the shadow rays that got through to a light whose radiance is a program."""
     path = wp.tid()
-    if paths.shadow_distance[path] != 0.0 and paths.shadow_pending[path] != PENDING_NONE:
+    if waits_for_program(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 

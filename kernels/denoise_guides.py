@@ -3,7 +3,7 @@
 
 Paths of the reference integrator are followed to their first hit, and on through what reflects or refracts sharply: a
 mirror's own colour would tell the denoiser nothing about what is seen in it (Open Image Denoise's documentation asks
-for the same). Nothing is lit, so that few samples are free of noise.
+for the same). Nothing is lit, so that few samples are free of noise but at edges and behind veils.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .intersect import MISS, offset_origin
 from .lamp_hit import FAR
 from .layering import prepare_bsdf
 from .packing import rgb
-from .paths import ENDED, Paths, hit_point
+from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import sample_bsdf
 from .reflectance import bsdf_albedo
 from .sampling import (
@@ -132,9 +132,8 @@ def find_surfaces(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        bounce = paths_out.state[path]
-        if bounce != ENDED and paths_out.hit[path][0] != MISS:
-            point = hit_point(scene, paths_out, path, bounce)
+        if has_hit(paths_out, path):
+            point = hit_point(scene, paths_out, path, paths_out.state[path])
             bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
             meet_guide(scene, exposure, bounces, point, bsdf, paths_out, path)
 

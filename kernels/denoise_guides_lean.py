@@ -6,9 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from .denoise_guides import meet_guide
-from .intersect import MISS
 from .node_lean import lean_bsdf, run_lean
-from .paths import ENDED, Paths, hit_point
+from .paths import Paths, has_hit, hit_point
 from .types import MATERIAL_LEAN, Scene
 from .wide_loads import load_material_flags
 
@@ -32,9 +31,8 @@ def find_lean_surfaces(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        bounce = paths_out.state[path]
-        if bounce != ENDED and paths_out.hit[path][0] != MISS:
-            point = hit_point(scene, paths_out, path, bounce)
+        if has_hit(paths_out, path):
+            point = hit_point(scene, paths_out, path, paths_out.state[path])
             starts = load_material_flags(scene.materials.materials, point.material)
             if (starts[3] & MATERIAL_LEAN) != 0:
                 bsdf = lean_bsdf(scene.tables, run_lean(scene, point, starts[0]), point)

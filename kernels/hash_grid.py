@@ -240,14 +240,6 @@ def jittered(position: wp.vec3, normal: wp.vec3, size: float, seed: wp.uint32) -
 
 
 @wp.func
-def find_cell(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> int:
-    """Return the cell of a point (see cell_key), or NO_CELL; `seed` is the look-up's random number."""
-    return find_key(grid, cell_key(grid, cell_level(grid, view.camera, position, seed), position, normal, direction))
-
-
-@wp.func
 def insert_cell(
     grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
 ) -> int:
@@ -329,26 +321,4 @@ def read_cell(grid: HashGrid, cell: int) -> wp.vec4:
     """Return a cell's light as irradiance / pi [W/m2/sr]; w = samples of its direct light."""
     d = grid.direct[cell]
     i = grid.indirect[cell]
-    return wp.vec4(d[0] + i[0], d[1] + i[1], d[2] + i[2], d[3])
-
-
-@wp.func
-def read_light(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> wp.vec4:
-    """Return the light that the cache knows at a point: irradiance / pi, plain radiance units; w = samples, or 0.
-
-    Args:
-        grid: The cache.
-        view: The frame.
-        position: On the surface [m].
-        normal: Geometric, on the side that is seen.
-        direction: Of the ray that arrived.
-        seed: Random for each look-up.
-    """
-    cell = find_lit_cell(grid, view, position, normal, direction, seed)
-    if cell == NO_CELL:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    d = grid.direct[cell]
-    i = indirect_light(grid, view, cell, position, normal, direction, seed)
     return wp.vec4(d[0] + i[0], d[1] + i[1], d[2] + i[2], d[3])

@@ -6,8 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter import accept_hit
-from .intersect import MISS
-from .paths import ENDED, Paths, load_hit, load_layer, store_hit
+from .paths import Paths, has_layers, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
 
@@ -32,7 +31,7 @@ def filter_paths(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        if paths_out.state[path] != ENDED and paths_out.layer[path][0] != MISS:
+        if has_layers(paths_out, path):
             seed = hash_combine(paths_out.seed[path], wp.uint32(paths_out.state[path] + LAYER_STREAM))
             found = accept_hit(
                 scene, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path),

@@ -6,19 +6,12 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_STOPPED, LayerWalk, accept_layer, start_walk
-from .intersect import MISS
 from .layers import LAYER_STREAM
-from .paths import ENDED, Paths, load_hit, load_layer, store_hit
+from .paths import Paths, has_layers, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
-
-
-@wp.func
-def has_layers(paths: Paths, path: int) -> bool:
-    """Return whether a path has layers to walk through."""
-    return paths.state[path] != ENDED and paths.layer[path][0] != MISS
 
 
 @wp.func

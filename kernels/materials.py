@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import MISS
 from .nodes import evaluate_surface
-from .paths import ENDED, Paths, hit_point
+from .paths import Paths, has_hit, hit_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, sample_pair
 from .types import Scene
 
@@ -29,8 +28,8 @@ def evaluate_materials(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        bounce = paths_out.state[path]
-        if bounce != ENDED and paths_out.hit[path][0] != MISS:
+        if has_hit(paths_out, path):
+            bounce = paths_out.state[path]
             point = hit_point(scene, paths_out, path, bounce)
             dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
             lobe = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)

@@ -2,8 +2,8 @@
 """A small node machine for the programs that most surfaces have; engine/lean.py says which those are.
 
 It runs the instructions of nodes.py with the same results, but knows few of them and has few registers, and it knows
-one closure: a Principled BSDF of metal, dielectric and diffuse reflection alone (or a Diffuse BSDF). A kernel with it
-needs a third of the full machine's registers, so a GPU keeps more of its threads at work.
+one closure: a Principled BSDF of metal, dielectric and diffuse reflection alone (or a Diffuse BSDF); plain_bsdf knows
+glass too. A kernel with it needs a third of the full machine's registers, so a GPU keeps more of its threads at work.
 """
 
 from __future__ import annotations
@@ -284,9 +284,12 @@ def run_lean_transparency(scene: Scene, point: ShadingPoint, start: int) -> wp.v
 
 @wp.func
 def full_closure(lean: LeanClosure) -> Closure:
-    """Return the same as the struct that layering.py takes; what a lean closure lacks is 0."""
+    """Return the same as the struct that layering.py takes, without glass; what a lean closure lacks is 0."""
     c = Closure()
+    c.kind = CLOSURE_PRINCIPLED
+    c.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
     c.color = lean.color
+    c.normal = lean.normal
     c.metallic = lean.metallic
     c.roughness = lean.roughness
     c.ior = lean.ior
@@ -294,6 +297,7 @@ def full_closure(lean: LeanClosure) -> Closure:
     c.specular_tint = lean.specular_tint
     c.subsurface = lean.subsurface
     c.multiscatter = lean.multiscatter
+    c.emission = lean.emission
     return c
 
 
@@ -313,12 +317,7 @@ def without_layers(bsdf: Bsdf) -> Bsdf:
 @wp.func
 def lean_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
     """Return the BSDF of a lean closure: what layering.prepare_bsdf makes of it. Constants leave little of that."""
-    closure = full_closure(lean)
-    closure.kind = CLOSURE_PRINCIPLED
-    closure.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
-    closure.normal = lean.normal
-    closure.emission = lean.emission
-    bsdf = without_layers(prepare_bsdf(tables, closure, point))
+    bsdf = without_layers(prepare_bsdf(tables, full_closure(lean), point))
     bsdf.pick_glass = 0.0
     return bsdf
 
@@ -330,11 +329,7 @@ def plain_bsdf(tables: Tables, lean: LeanClosure, point: ShadingPoint) -> Bsdf:
     Constants leave little of that function.
     """
     closure = full_closure(lean)
-    closure.kind = CLOSURE_PRINCIPLED
-    closure.weight = wp.vec3(lean.weight, lean.weight, lean.weight)
-    closure.normal = lean.normal
     closure.transmission = lean.transmission
-    closure.emission = lean.emission
     return without_layers(prepare_bsdf(tables, closure, point))
 
 

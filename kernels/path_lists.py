@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import MISS
-from .paths import ENDED, Paths
+from .paths import ENDED, Paths, has_layers, has_shadow_layers
 from .pixel_order import place_in_blocks
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -97,7 +96,7 @@ def list_layered(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        if paths.state[path] != ENDED and paths.layer[path][0] != MISS:
+        if has_layers(paths, path):
             queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
@@ -117,5 +116,5 @@ def list_layered_shadows(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        if paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS:
+        if has_shadow_layers(paths, path):
             queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -158,7 +158,7 @@ def front_of(bsdf: Bsdf) -> wp.vec3:
 
 
 @wp.func
-def arriving(scene: Scene, point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
+def arriving(point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
     """Return what a light sample adds to a path of throughput 1 if nothing is in its way, weighed against the BSDF."""
     value = evaluate_bsdf(bsdf, point.wo, s.wi)
     weight = float(1.0)
@@ -197,7 +197,7 @@ def sample_direct_light(
             scene, classes, point.position, side,
             wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
         if s.kind >= 0:
-            here = wp.cw_mul(throughput, arriving(scene, point, bsdf, s))
+            here = wp.cw_mul(throughput, arriving(point, bsdf, s))
             value = wp.dot(here, scene.luminance) * s.brightness
             if is_finite3(here) and value > 0.0:
                 total = total + value

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3, max_component
-from .intersect import Hit, surface_point
+from .intersect import MISS, Hit, surface_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_ROULETTE, DIMENSIONS_PER_BOUNCE, sample_number
 from .shading_types import Closure, ShadingPoint
 from .types import Scene
@@ -24,7 +24,7 @@ LONG_PATH = wp.constant(32)
 
 @wp.struct
 class Options:
-    """Settings of the path tracer that kernels read."""
+    """Settings of the path tracer that kernels read; from `programs` on its host alone: they choose the kernels."""
 
     max_bounces: int
     roulette_start: int
@@ -175,6 +175,30 @@ def store_layer(paths: Paths, path: int, hit: Hit):
     paths.layer_t[path] = hit.t
     paths.layer[path] = wp.vec2i(hit.instance, hit.triangle)
     paths.layer_barycentrics[path] = wp.vec2(hit.u, hit.v)
+
+
+@wp.func
+def has_hit(paths: Paths, path: int) -> bool:
+    """Return whether a path lives and its ray has met a surface."""
+    return paths.state[path] != ENDED and paths.hit[path][0] != MISS
+
+
+@wp.func
+def has_layers(paths: Paths, path: int) -> bool:
+    """Return whether a path lives and a triangle that needs a test stands in the way of its ray."""
+    return paths.state[path] != ENDED and paths.layer[path][0] != MISS
+
+
+@wp.func
+def has_shadow_layers(paths: Paths, path: int) -> bool:
+    """Return whether there is a shadow ray and a triangle that needs a test stands in its way."""
+    return paths.shadow_distance[path] != 0.0 and paths.layer[path][0] != MISS
+
+
+@wp.func
+def waits_for_program(paths: Paths, path: int) -> bool:
+    """Return whether a shadow ray got through to a light whose radiance is a program."""
+    return paths.shadow_distance[path] != 0.0 and paths.shadow_pending[path] != PENDING_NONE
 
 
 @wp.func

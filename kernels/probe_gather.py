@@ -119,7 +119,7 @@ def neighbour_tile(grid: ProbeGrid, tile: int, x: int, y: int) -> int:
 
 @wp.func
 def related_probe(
-    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3, cell: float,
+    pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3, cell: float,
 ) -> int:
     """Return the probe of a tile that is related to a place, -1 for none."""
     if tile < 0:
@@ -161,7 +161,7 @@ def gather_around(
     i = int(0)
     while i < 9:
         slot = related_probe(
-            grid, pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
+            pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
         if slot >= 0:
             value = aimed_radiance(pool, slot, position, direction)
             if value[3] > 0.0 and not outdated(view, pool, slot):
@@ -255,7 +255,7 @@ def count_history(
         i = int(0)
         while i < 9:
             tile = neighbour_tile(grid, updates_out.tile[update], i % 3 - 1, i // 3 - 1)
-            other = related_probe(grid, pool, tiles, tile, position, normal, width)
+            other = related_probe(pool, tiles, tile, position, normal, width)
             if other >= 0:
                 if not outdated(view, pool, other):
                     count = count + valid_count(view, pool, other)

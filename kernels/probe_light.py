@@ -58,7 +58,7 @@ def find_neighbors(
     width = probe_cell(view, project(view.camera, position)[2])
     tile = neighbour_tile(grid, updates_out.tile[update], (i % 3 - 1) * grid.side, (i // 3 - 1) * grid.side)
     updates_out.neighbor[index] = related_probe(
-        grid, pool, tiles, tile, position, unpack_normal(pool.normal[slot]), width)
+        pool, tiles, tile, position, unpack_normal(pool.normal[slot]), width)
 
 
 @wp.kernel

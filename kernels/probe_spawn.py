@@ -166,7 +166,6 @@ def claim_tiles(
 @wp.kernel
 def claim_other_surfaces(
     # In:
-    grid: ProbeGrid,
     views: wp.array[View],
     pool: ProbePool,
     # Out:

@@ -2,20 +2,19 @@
 """The reference path tracer's shading of the hits that need the full node machine.
 
 The tracer is a wavefront of small kernels with states in arrays (paths.py) between them: tracing.py finds hits,
-layers.py looks through transparent triangles, misses.py adds the world and lamps, reference_lean.py shades most hits,
-materials.py runs the other materials' programs, this file's kernel shades those, and shadow_layers.py and
-shadow_lights.py finish shadow rays. A path owns its slot in every array, so any range of paths may run anywhere in any
-order. The node machine is called once in each module that needs it: CUDA's compiler then inlines it, instead of
-copying the whole Scene for a call.
+layers.py looks through transparent triangles, misses.py adds the world and lamps, reference_lean.py shades most hits
+and reference_plain.py those on plain glass, materials.py runs the other materials' programs, this file's kernel shades
+those, and shadow_layers.py and shadow_lights.py finish shadow rays. A path owns its slot in every array, so any range
+of paths may run anywhere in any order. The node machine is called once in each module that needs it: CUDA's compiler
+then inlines it, instead of copying the whole Scene for a call.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .intersect import MISS
 from .path_shading import is_held_out, shade_hit
-from .paths import ENDED, Options, Paths, hit_point
+from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .principled import prepare_bsdf
 from .types import FrameData, Scene
 
@@ -41,10 +40,9 @@ def shade_paths(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        bounce = paths_out.state[path]
-        if bounce != ENDED and paths_out.hit[path][0] != MISS:
+        if has_hit(paths_out, path):
+            point = hit_point(scene, paths_out, path, paths_out.state[path])
             paths_out.state[path] = ENDED
-            point = hit_point(scene, paths_out, path, bounce)
             if not is_held_out(scene, point, paths_out, path):
                 bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
                 shade_hit(frames[0], scene, options, point, bsdf, paths_out, path)

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import MISS
 from .node_lean import lean_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
-from .paths import ENDED, Options, Paths, hit_point
+from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .types import MATERIAL_LEAN, FrameData, Scene
 from .wide_loads import load_material_flags
 
@@ -22,11 +21,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 @wp.func
 def shade_path(frames: wp.array[FrameData], scene: Scene, options: Options, paths: Paths, path: int) -> bool:
     """Shade a hit with a lean material and return whether the path goes on; leave others alone."""
-    bounce = paths.state[path]
     paths.shadow_distance[path] = 0.0
-    if bounce == ENDED or paths.hit[path][0] == MISS:
+    if not has_hit(paths, path):
         return False
-    point = hit_point(scene, paths, path, bounce)
+    point = hit_point(scene, paths, path, paths.state[path])
     starts = load_material_flags(scene.materials.materials, point.material)
     if (starts[3] & MATERIAL_LEAN) == 0:
         return False

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import MISS
 from .node_lean import plain_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
-from .paths import ENDED, Options, Paths, hit_point
+from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .types import MATERIAL_PLAIN, FrameData, Scene
 from .wide_loads import load_material_flags
 
@@ -39,9 +38,8 @@ def shade_plain_paths(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        bounce = paths_out.state[path]
-        if bounce != ENDED and paths_out.hit[path][0] != MISS:
-            point = hit_point(scene, paths_out, path, bounce)
+        if has_hit(paths_out, path):
+            point = hit_point(scene, paths_out, path, paths_out.state[path])
             starts = load_material_flags(scene.materials.materials, point.material)
             if (starts[3] & MATERIAL_PLAIN) == 0:
                 others_out[wp.atomic_add(other_count_out, 0, 1)] = path

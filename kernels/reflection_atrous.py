@@ -92,8 +92,7 @@ def lobe_overlap(centre: FilterCentre, lobe: FilterLobe, tap: FilterTap) -> floa
 
 @wp.func
 def tap_direction(
-    view: View, gbuffer: GBuffer, options: ReflectionOptions, samples: ReflectionSamples, centre: FilterCentre,
-    lobe: FilterLobe, tap: FilterTap, closeness: float,
+    view: View, samples: ReflectionSamples, centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float,
 ) -> wp.vec4:
     """Return the direction from a centre to what a block's sample hit; w = Jacobian of the reconnection.
 
@@ -110,7 +109,7 @@ def tap_direction(
 
 @wp.func
 def tap_weight(
-    view: View, gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
+    view: View, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
     centre: FilterCentre, lobe: FilterLobe, tap: FilterTap, closeness: float,
 ) -> wp.vec2:
     """Return d * p of a block, and how much of a sample of its own it is for the centre.
@@ -122,7 +121,7 @@ def tap_weight(
     if part.ratio == 0:
         if confidence == 0.0 or options.lobe != LOBE_REFLECTION:
             return wp.vec2(tap.near, tap.near)
-        to_hit = tap_direction(view, gbuffer, options, samples, centre, lobe, tap, closeness)
+        to_hit = tap_direction(view, samples, centre, lobe, tap, closeness)
         return wp.vec2(tap.near * drawn_density(lobe, rgb(to_hit)) / lobe.peak, tap.near)
     match = tap.near
     if not own:
@@ -133,7 +132,7 @@ def tap_weight(
         return wp.vec2(match * REPLACED_SHARE, 0.0)
     if own or options.lobe != LOBE_REFLECTION:
         return wp.vec2(match, match)
-    to_hit = tap_direction(view, gbuffer, options, samples, centre, lobe, tap, closeness)
+    to_hit = tap_direction(view, samples, centre, lobe, tap, closeness)
     ratio = drawn_density(lobe, rgb(to_hit)) / (samples.pdf[tap.block] * to_hit[3])
     return wp.vec2(tap.near * wp.min(ratio, RATIO_MAX), match)
 
@@ -197,7 +196,7 @@ def filter_block(
                     seen = tap.confidence >= 0.0 and tap.near > 0.0
                     if seen or part.first == 0:
                         found = load_reflection(part, lights, tap.block)
-                        w = tap_weight(view, gbuffer, options, part, samples, centre, lobe, tap, found[3])
+                        w = tap_weight(view, options, part, samples, centre, lobe, tap, found[3])
                         confidence = wp.max(confidence, wp.where(seen, w[1], 0.0))
                         weight = wp.where(seen, w[0] * gaussian(tap, sigma), 0.0)
                         sum += found * weight

@@ -15,11 +15,11 @@ from .cache_rays import Vertices
 from .environment_table import texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
-from .intersect import MISS, surface_point, triangle_material
+from .intersect import surface_point, triangle_material
 from .lights import LightSample, cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
-from .paths import ENDED, Paths, load_hit
+from .paths import Paths, has_hit, load_hit
 from .reflection_rays import FOUND_DIRECT, ReflectionRays
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
 from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
@@ -71,7 +71,7 @@ def choose_reflection_lights(
     slot = first + wp.tid()
     paths_out.shadow_distance[slot] = 0.0
     paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if paths_out.state[slot] == ENDED or paths_out.hit[slot][0] == MISS or scene.lights.class_count == 0:
+    if not has_hit(paths_out, slot) or scene.lights.class_count == 0:
         return
     reflectance = vertices_out.reflectance[slot]
     if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:

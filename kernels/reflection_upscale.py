@@ -199,7 +199,7 @@ def upscale_pixel(
                     value = load_reflection(part, lights, tap.block)
                     w = wp.vec2(0.0, 0.0)
                     if tap.near > 0.0 or part.first == 0:
-                        w = tap_weight(view, gbuffer, options, part, samples, centre, lobe, tap, value[3])
+                        w = tap_weight(view, options, part, samples, centre, lobe, tap, value[3])
                     found = add_block(found, tap, known, value, load_root(part, tap.root), w, gaussian(tap, sigma))
             i += 1
             if i > 1:

@@ -7,8 +7,7 @@ import warp as wp
 
 from .filter import transmittance
 from .geometry_math import max_component
-from .intersect import MISS
-from .paths import PENDING_NONE, Options, Paths, add_shadow_light, load_layer
+from .paths import PENDING_NONE, Options, Paths, add_shadow_light, has_shadow_layers, load_layer
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -42,8 +41,8 @@ def weaken_shadow_rays(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        distance = paths_out.shadow_distance[path]
-        if distance != 0.0 and paths_out.layer[path][0] != MISS:
+        if has_shadow_layers(paths_out, path):
+            distance = paths_out.shadow_distance[path]
             light = paths_out.shadow_light[path]
             if distance > 0.0:
                 passed = transmittance(

@@ -8,16 +8,10 @@ import warp as wp
 from .geometry_math import max_component
 from .intersect import surface_point
 from .nodes import run, world_point
-from .paths import PENDING_NONE, PENDING_TRIANGLE, Options, Paths, add_light, limit_at, make_hit
+from .paths import PENDING_TRIANGLE, Options, Paths, add_light, limit_at, make_hit, waits_for_program
 from .types import VISIBLE_DIFFUSE, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
-
-
-@wp.func
-def waits(paths: Paths, path: int) -> bool:
-    """Return whether a shadow ray got through to a light whose radiance is a program."""
-    return paths.shadow_distance[path] != 0.0 and paths.shadow_pending[path] != PENDING_NONE
 
 
 @wp.kernel
@@ -37,7 +31,7 @@ def shade_lights(
     while i < count[0]:
         path = queue[i]
         i = i + stride
-        if waits(paths_out, path):
+        if waits_for_program(paths_out, path):
             distance = paths_out.shadow_distance[path]
             paths_out.shadow_distance[path] = 0.0
             direction = paths_out.shadow_direction[path]

@@ -105,7 +105,8 @@ def refit_nodes(
 ):
     """Write a level's nodes from number `first` on anew, those of the levels below done.
 
-    `split` 1: triangles may be parts, see triangle_split.py. What is empty now keeps its number and, where it is a node, its bit among those that are: both count for others.
+    `split` 1: references may stand for parts of triangles (triangle_split.py). What is empty now keeps its number and,
+    where it is a node, its bit among those that are: both count for others.
     """
     node = first + wp.tid()
     base = NODE_WORDS * node

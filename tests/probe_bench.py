@@ -156,7 +156,7 @@ class ProbeBench:
         views = self.tracker.array
         self.graph.launch(fill_gbuffer, count, [views, self.scene, self.size[0], *self.look], [self.gbuffer],
                           banded=False)
-        rays, slots = self.probes.record_rays(self.graph, 0, self.scene, views, self.gbuffer)
+        rays, slots = self.probes.record_rays(self.graph, self.scene, views, self.gbuffer)
         self.graph.launch(answer_rays, slots, [views, self.scene, self.lighting], [rays], banded=False)
         color = wp.zeros(count, dtype=wp.vec4h, device=self.device)
         reprojection = Reprojection()
@@ -164,8 +164,7 @@ class ProbeBench:
         reprojection.taps = wp.zeros(count, dtype=wp.uint8, device=self.device)
         self.graph.launch(fill_previous, count, [views, self.lighting, self.gbuffer, self.size[0]],
                           [color, reprojection], banded=False)
-        self.result = self.probes.record_light(
-            self.graph, 0, self.scene, views, self.gbuffer, color, reprojection)
+        self.result = self.probes.record_light(self.graph, views, self.gbuffer, color, reprojection)
 
     def frame(self, camera=None, lit=False, moved=False):
         """Run one frame."""

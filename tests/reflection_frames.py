@@ -117,7 +117,7 @@ class ReflectionFrames:
         for parity in (0, 1):
             graph = FrameGraph(DEVICE)
             self.outputs.append(self.denoiser.record(
-                graph, parity, None, self.views, self.gbuffer, self.gbuffer, self.reprojection, options, self.samples,
+                graph, parity, self.views, self.gbuffer, self.gbuffer, self.reprojection, options, self.samples,
                 jitter=jitter))
             self.graphs.append(graph)
         self.frame = 0

@@ -22,8 +22,6 @@ class Services:
     diagnostics_text: Callable[[], str]
     start_warm_up: Callable[[], Any]
     """Starts building the kernels; returns an object with `text`, `progress` (0..1), `error` and `done`"""
-    preferences_name: str
-    """Module name of the extension, for the preferences"""
 
 
 _installed: Services | None = None

@@ -17,7 +17,7 @@ import numpy as np
 from ...engine.scene import InstanceTable, LightData
 from .instances import Source
 
-__all__ = ["Changes", "MeshKeys", "mark_moved", "read_changes", "same_fields", "same_lights", "same_table"]
+__all__ = ["Changes", "MeshKeys", "read_changes", "same_fields", "same_lights", "same_table"]
 
 
 @dataclass(eq=False)
@@ -118,24 +118,9 @@ class MeshKeys:
         return versions, slots
 
 
-def mark_moved(table: InstanceTable, previous: InstanceTable) -> None:
-    """Set `table.dynamic`: instances known from `previous` whose transform differs."""
-    count = len(table.object_keys)
-    if table.object_keys == previous.object_keys:
-        before = np.arange(count)
-    else:
-        rows = {key: row for row, key in enumerate(previous.object_keys)}
-        before = np.array([rows.get(key, -1) for key in table.object_keys], np.int64)
-    known = before >= 0
-    moved = np.zeros(count, bool)
-    moved[known] = (table.transforms[known] != previous.transforms[before[known]]).any(axis=(1, 2))
-    table.dynamic = moved
-
-
 def same_table(table: InstanceTable, previous: InstanceTable) -> bool:
-    """Tell whether both describe the same instances, `dynamic` aside."""
-    return all(_same(getattr(table, item.name), getattr(previous, item.name))
-               for item in fields(InstanceTable) if item.name != "dynamic")
+    """Tell whether both describe the same instances."""
+    return all(_same(getattr(table, item.name), getattr(previous, item.name)) for item in fields(InstanceTable))
 
 
 def same_lights(lights: list[LightData], previous: list[LightData] | None) -> bool:

@@ -23,7 +23,7 @@ from ...engine.scene import (
     SceneDelta,
     WorldData,
 )
-from .changes import Changes, MeshKeys, mark_moved, read_changes, same_fields, same_lights, same_table
+from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances
 from .light import extract_light
@@ -208,8 +208,6 @@ class SceneExtractor:
         self.counts.meshes = len(new)
         self._mesh_reports = {key: self._mesh_reports[key] for key in set(keys) - {None}}
         table = build_table(gathered, [None if key in self._empty_meshes else key for key in keys], self._walk_report)
-        if self._table is not None:
-            mark_moved(table, self._table)
         if self._table is None or not same_table(table, self._table):
             delta.instances = table
         self._table = table

@@ -17,7 +17,6 @@ from ...kernels.antialias import Accumulation
 from ...kernels.composite import LightPasses, Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_types import ReflectionOptions
-from ...kernels.types import Scene
 from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
@@ -94,7 +93,7 @@ class CompositePass:
                 array.zero_()
 
     def record(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer, reprojection: Any,
+        self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, reprojection: Any,
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
         options: ReflectionOptions | None = None, indirect: wp.array | None = None,
@@ -104,7 +103,6 @@ class CompositePass:
         Args:
             graph: Takes the launches.
             parity: Of the frames recorded.
-            scene: Not read; passes are recorded alike.
             views: One View.
             gbuffer: Of this frame.
             reprojection: Has `position` (vec2) and `taps` (uint8), see kernels/reprojection.py.

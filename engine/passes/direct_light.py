@@ -32,9 +32,9 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
-from ..shadow_rays import make_options, make_queue, make_shadow_rays, one_number
+from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import is_flat
-from ..work_list import make_work_list
+from ..work_list import make_queue, make_work_list, one_number
 
 __all__ = ["DirectLightPass", "has_lights"]
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ...kernels import denoise_guides, denoise_guides_lean, film, materials, path_lists, tracing
+from ...kernels import denoise_guides, denoise_guides_lean, film, materials, path_lists
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from .. import oidn
@@ -47,7 +47,7 @@ class FinalDenoise:
         """Device that filtered the newest picture: "cuda" or "cpu" """
         self._guides: tuple[wp.array, wp.array] | None = None
         self._guide_samples = 0
-        self._clean_guides = False
+        self._noiseless = False
         """Whether the guides are free of noise: made of most samples, or denoised"""
         self._options: tuple[Options, Options] | None = None
         """The path tracer's and those made of them: the same object again, for what is recorded with it"""
@@ -87,7 +87,7 @@ class FinalDenoise:
                     job(band)()
             else:
                 run_bands(job(band) for band in tracer.bands)
-            self._guides, self._guide_samples, self._clean_guides = (albedo, normal), wanted, wanted == most
+            self._guides, self._guide_samples, self._noiseless = (albedo, normal), wanted, wanted == most
         return self._guides
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
@@ -117,8 +117,8 @@ class FinalDenoise:
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
             color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean,
-            prefilter=not self._clean_guides))
-        self._clean_guides = True
+            prefilter=not self._noiseless))
+        self._noiseless = True
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
         if traced is None:
@@ -146,21 +146,16 @@ def without_roulette(options: Options) -> Options:
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
                 samples: int, albedo: wp.array, normal: wp.array) -> None:
     """Add the guides of a band's pixels, means of so many samples, in as few batches as there are path states for."""
-    done, device = 0, tracer.device
+    done = 0
     slot = tracer.take_slot()
     try:
         while done < samples:
             count = max(1, min(slot.capacity // band.count, samples - done))
-            row = frame.copy()
-            row["sample"] = done
-            slot.frame.assign(row)
-            total = band.count * count
-            slot.start(tracing.generate_paths, total, [slot.frame, table, band.first, band.count])
             # After so many rounds no path goes on.
-            slot.loop("guides", (scene, options), lambda: guide_steps(slot, scene, options), total, MIRRORS + 1,
-                      lambda: False, (row["crop_width"].item(), band.count))
+            slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
+                       (band.first, band.count), (done, count), MIRRORS + 1, lambda: False)
             launch(denoise_guides.average_guides, band.count,
-                   [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], device)
+                   [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], tracer.device)
             done += count
     finally:
         tracer.give_slot(slot)

@@ -43,9 +43,9 @@ from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import arrays_of
 from ..settings import CacheKey, CacheSettings
-from ..shadow_rays import make_options, make_queue, one_number
+from ..shadow_rays import make_options
 from ..structures import is_flat
-from ..work_list import make_work_list
+from ..work_list import make_queue, make_work_list, one_number
 from .cache_spreading import record_spreading
 
 __all__ = ["RadianceCachePass", "count_rays", "record_insertion", "smallest_cell"]

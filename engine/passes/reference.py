@@ -43,7 +43,7 @@ CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
-PATH_BYTES = 664
+PATH_BYTES = 504
 """Of one path's states and places in lists, its closure the largest of them"""
 
 MEMORY_SHARE = 0.25
@@ -201,10 +201,11 @@ class ReferencePass:
             return
         slot = self.take_slot()
         try:
-            row = frame.copy()
-            row["sample"] = band.samples
-            slot.frame.assign(row)
-            if self._trace(slot, band, row["crop_width"].item(), count, scene, options, filter_table, should_stop):
+            if options.passes == 1:
+                launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
+            if slot.trace(
+                    "paths", (scene, options), lambda: path_steps(slot, scene, options), frame, filter_table,
+                    (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop):
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
@@ -214,18 +215,6 @@ class ReferencePass:
                 wp.synchronize_stream(self.device)
         finally:
             self.give_slot(slot)
-
-    def _trace(
-        self, slot: Wavefront, band: Band, width: int, count: int, scene: Scene, options: Options,
-        filter_table: wp.array, should_stop: Callable[[], bool],
-    ) -> bool:
-        total = band.count * count
-        if options.passes == 1:
-            slot.start(film.clear_surfaces, total, [])
-        slot.start(tracing.generate_paths, total, [slot.frame, filter_table, band.first, band.count])
-        return slot.loop(
-            "paths", (scene, options), lambda: path_steps(slot, scene, options), total, BOUNCE_STOP, should_stop,
-            (width, band.count))
 
 
 def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:

@@ -21,7 +21,6 @@ from ...kernels.reflection_blocks import ReflectionBlocks, ReflectionHistory, Re
 from ...kernels.reflection_lobe import FilterPass
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
 from ...kernels.reprojection import Reprojection
-from ...kernels.types import Scene
 from ..frame_graph import FrameGraph
 from ..history import History
 from ..settings import DenoiserSettings
@@ -110,7 +109,7 @@ class ReflectionDenoisePass:
         self.history.reset()
 
     def record(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+        self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, options: ReflectionOptions,
         samples: ReflectionSamples, *, jitter: bool = True,
     ) -> wp.array:
@@ -119,7 +118,6 @@ class ReflectionDenoisePass:
         Args:
             graph: Takes the launches.
             parity: Of the frames recorded.
-            scene: The scene; not needed by these filters.
             views: One View.
             gbuffer: Of this frame.
             previous_gbuffer: Of the frame before.

@@ -57,9 +57,9 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..settings import ReflectionResolution, ReflectionSettings
-from ..shadow_rays import make_options, make_queue, one_number
+from ..shadow_rays import make_options
 from ..structures import is_flat
-from ..work_list import WorkList, make_work_list
+from ..work_list import WorkList, make_queue, make_work_list, one_number
 from .radiance_cache import (
     BOUNCE_ARRAYS,
     LAYER_ARRAYS,

@@ -131,11 +131,11 @@ class ScreenProbePass:
         self.pool.updates.zero_()
 
     def record_rays(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, gbuffer: GBuffer,
     ) -> tuple[ProbeRays, int]:
         """Record choosing the probes of a frame and making their rays; returns the rays and how many slots they have.
 
-        Nothing here depends on `parity`: probes are updated in place.
+        Probes are updated in place: frames of both parities are recorded alike.
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         # The weights are numbers, frozen in the record like all settings.
@@ -144,7 +144,7 @@ class ScreenProbePass:
         with graph.section("Probe placement"):
             graph.launch(spawn.seed_tiles, self.tile_count, [grid, views, gbuffer], [tiles])
             graph.launch(spawn.claim_tiles, grid.slots, [grid, views, gbuffer], [pool, tiles], banded=False)
-            graph.launch(spawn.claim_other_surfaces, grid.slots, [grid, views, pool], [tiles], banded=False)
+            graph.launch(spawn.claim_other_surfaces, grid.slots, [views, pool], [tiles], banded=False)
             graph.launch(spawn.mark_used, grid.slots, [views, tiles], [pool])
             graph.launch(spawn.choose_tiles, self.update_count, [grid, views, tiles], [updates])
             graph.launch(spawn.mark_empty, self.tile_count, [grid, updates], [tiles])
@@ -162,7 +162,7 @@ class ScreenProbePass:
         return self.rays, count
 
     def record_light(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
+        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer,
         previous_color: wp.array, reprojection: Reprojection,
     ) -> wp.array:
         """Record putting the rays' answers into the probes; returns the diffuse light of each pixel.

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels import path_lists
+from ...kernels import path_lists, tracing
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, FrameData
 from ..device import launch, record
-from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE
+from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE, make_queue
 
 __all__ = ["Step", "Wavefront", "make_paths"]
 
@@ -76,7 +76,7 @@ class Wavefront:
         self.rounds = wp.zeros(1, dtype=int, device=device)
         """Surfaces that the paths have met before this round's"""
         self._rays = wp.zeros(1, dtype=wp.int64, device=device)
-        self._all = wp.array(np.arange(capacity, dtype=np.int32), dtype=int, device=device)
+        self._all = make_queue(capacity, device)
         self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
         self._queues: dict[int, wp.array] = {}
         self._records: dict[str, tuple[tuple, tuple[list[wp.Launch], ...]]] = {}
@@ -90,6 +90,32 @@ class Wavefront:
     def forget_rays(self) -> None:
         """Count rays anew."""
         self._rays.zero_()
+
+    def trace(
+        self, name: str, made_for: tuple, steps: Callable[[], list[Step]], frame: np.ndarray, table: wp.array,
+        pixels: tuple[int, int], samples: tuple[int, int], limit: int, should_stop: Callable[[], bool],
+    ) -> bool:
+        """Start the paths of a band's pixels at the camera and run rounds over them; return as loop() does.
+
+        Args:
+            name: As of loop(), with `made_for`, `steps`, `limit` and `should_stop`.
+            made_for: See loop().
+            steps: See loop().
+            frame: One FrameData row; its `sample` is set here.
+            table: Inverse distribution of the pixel filter.
+            pixels: The band's first pixel, and how many it has.
+            samples: The first of the pixels' samples, and how many they get.
+            limit: See loop().
+            should_stop: See loop().
+        """
+        (first_pixel, pixel_count), (first_sample, sample_count) = pixels, samples
+        row = frame.copy()
+        row["sample"] = first_sample
+        self.frame.assign(row)
+        total = pixel_count * sample_count
+        launch(tracing.generate_paths, total, [self.frame, table, first_pixel, pixel_count], [self.paths], self.device)
+        return self.loop(
+            name, made_for, steps, total, limit, should_stop, (row["crop_width"].item(), pixel_count))
 
     def loop(
         self, name: str, made_for: tuple, steps: Callable[[], list[Step]], total: int, limit: int,
@@ -158,7 +184,7 @@ class Wavefront:
             wp.capture_while(living, graph)
 
     def _queue(self, place: int) -> wp.array:
-        """Return the paths of a list; room for those that a scene doesn't need is not made."""
+        """Return the paths of a list; room for them is made when a step first names the list."""
         if place not in self._queues:
             self._queues[place] = wp.zeros(self.capacity, dtype=int, device=self.device)
         return self._queues[place]
@@ -182,7 +208,3 @@ class Wavefront:
                 step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
                 self.device, threads if self.cuda else 1))
         return commands
-
-    def start(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
-        """Launch a kernel that starts `count` paths."""
-        launch(kernel, count, inputs, [self.paths], self.device)

@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 import warp as wp
 from burnish.addon.extract.material import extract_light_factor, extract_material, extract_world
-from burnish.engine.materials import MaterialTable, attribute_names, uv_map_names
+from burnish.engine.materials import MaterialTable, attribute_names
 from burnish.engine.program import Program
 from burnish.engine.report import Report
 from burnish.engine.scene import CameraData, CameraKind
@@ -192,7 +192,7 @@ class Harness:
     def _scene(self, materials: dict, world: Program | None) -> Scene:
         """Return the scene of the plane with its materials."""
         programs = [data.program for data in materials.values()] + ([world] if world else [])
-        uv_maps = sorted({"", "UVMap", *uv_map_names(programs)})
+        uv_maps = sorted({"", "UVMap", *(name for program in programs for name in program.uv_maps)})
         attributes = [name for name in attribute_names(programs) if name in ("", "Col")]
         table = MaterialTable("cpu")
         table.build(materials, world, lambda key: self.images.keys.index(key), index_in(uv_maps), index_in(attributes))

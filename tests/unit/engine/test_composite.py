@@ -15,7 +15,6 @@ from burnish.engine.passes.rest import RestBlend
 from burnish.engine.settings import DenoiserSettings
 from burnish.kernels.gbuffer import SURFACE_COATED, SURFACE_TRANSLUCENT, SURFACE_TRANSMITS, GBuffer
 from burnish.kernels.reflection_types import ReflectionOptions
-from burnish.kernels.types import Scene
 from burnish.kernels.view import SKY_DEPTH, View
 
 W, H = 40, 16
@@ -111,7 +110,7 @@ class Setup:
         self.reflections = [image if has else None for image, has in zip(packed, self.has, strict=True)]
         self.pictures = [
             self.composite.record(
-                graph, parity, Scene(), self.views, gbuffer, reprojection, direct, self.arrays[2], ratio,
+                graph, parity, self.views, gbuffer, reprojection, direct, self.arrays[2], ratio,
                 *self.reflections, reflection_options() if reflection else None)
             for parity, graph in enumerate(self.graphs)]
         self.frame = -1

@@ -8,7 +8,7 @@ import random
 
 import numpy as np
 import pytest
-from burnish.engine.materials import MaterialTable, attribute_names, default_material, uv_map_names
+from burnish.engine.materials import MaterialTable, attribute_names, default_material
 from burnish.engine.program import ProgramBuilder, RegisterOverflow, tangent_attribute
 from burnish.engine.program_layout import OPERANDS
 from burnish.engine.scene import CameraData, MaterialData
@@ -192,7 +192,7 @@ def test_name_what_programs_read():
     build.emit(build.normal_map("TANGENT", build.attribute("c"), 1.0, uv_map="u",
                                 tangent_attribute=tangent_attribute("u")), 1.0, 1.0)
     program = build.finish()
-    assert uv_map_names([program]) == ["u"] and attribute_names([program]) == ["c"]
+    assert program.uv_maps == ("u",) and attribute_names([program]) == ["c"]
     table = table_of(program, uv=lambda name: 2, attribute=lambda name: 5)
     code = table.struct().code.numpy()
     word = next(row[3] for row in code if row[0] & 255 == codes.OP_NORMAL_MAP)

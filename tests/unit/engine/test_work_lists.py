@@ -12,9 +12,9 @@ from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
-from burnish.engine.shadow_rays import make_options, make_queue, one_number
+from burnish.engine.shadow_rays import make_options
 from burnish.engine.structures import is_flat
-from burnish.engine.work_list import LISTED_THREADS, ONCE, make_work_list
+from burnish.engine.work_list import LISTED_THREADS, ONCE, make_queue, make_work_list, one_number
 from burnish.kernels import (
     compaction,
     flat_paths,

@@ -14,16 +14,18 @@ from burnish.engine.view_data import ViewTracker
 from burnish.kernels.cache_cells import CacheControl, purge_cells
 from burnish.kernels.hash_grid import (
     BUCKET,
+    NO_CELL,
     SCREEN_LINES,
     HashGrid,
     cell_key,
     cell_level,
     cell_size,
-    find_cell,
+    find_key,
+    find_lit_cell,
+    indirect_light,
     insert_cell,
     jittered,
     normal_face,
-    read_light,
 )
 from burnish.kernels.view import View
 
@@ -92,8 +94,15 @@ def find_points(
 ):
     """Find point i and read its light."""
     i = wp.tid()
-    cells_out[i] = find_cell(grid, views[0], positions[i], normal, -normal, wp.uint32(i))
-    lights_out[i] = read_light(grid, views[0], positions[i], normal, -normal, wp.uint32(i))
+    seed = wp.uint32(i)
+    level = cell_level(grid, views[0].camera, positions[i], seed)
+    cells_out[i] = find_key(grid, cell_key(grid, level, positions[i], normal, -normal))
+    light = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    cell = find_lit_cell(grid, views[0], positions[i], normal, -normal, seed)
+    if cell != NO_CELL:
+        indirect = indirect_light(grid, views[0], cell, positions[i], normal, -normal, seed)
+        light = grid.direct[cell] + wp.vec4(indirect[0], indirect[1], indirect[2], 0.0)
+    lights_out[i] = light
 
 
 LINES = 64

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.materials import MaterialTable, attribute_names, uv_map_names
+from burnish.engine.materials import MaterialTable, attribute_names
 from burnish.engine.program import ProgramBuilder, tangent_attribute
 from burnish.engine.program_fold import fold
 from burnish.engine.scene import MaterialData
@@ -50,7 +50,8 @@ def make_scene(device: str, builder: ProgramBuilder | None = None, world: Progra
     if builder is not None:
         data.has_transparency, data.has_emission = builder.has_transparency(), builder.has_emission()
     programs = [data.program] + ([world.finish()] if world else [])
-    uv_maps, attributes = uv_map_names(programs), attribute_names(programs)
+    uv_maps = sorted({name for program in programs for name in program.uv_maps})
+    attributes = attribute_names(programs)
     table = MaterialTable(device)
     table.build({"m": data}, programs[1] if world else None, lambda key: 0, uv_maps.index,
                 lambda name: attributes.index(name) if name in attributes else -1, (10.0, 0.0, 0.0))
