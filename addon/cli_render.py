@@ -18,7 +18,7 @@ import numpy as np
 from ..engine.errors import BurnishError, InvalidScene
 from ..engine.settings import SamplingSettings, setting_info
 from ..engine.write import LayerPixels, PassPixels, complete_file, write_exr
-from . import final, passes, registered
+from . import final, registered
 from .cli_output import Console
 
 __all__ = ["run"]
@@ -141,8 +141,7 @@ def render(scene: Any, debug_view: str = "") -> tuple[list[LayerPixels], Any]:
     def keep(layer: str, view: str, pixels: dict[str, np.ndarray], information: final.RenderInfo) -> None:
         if information.cancelled:
             return
-        channels = {aov.name: aov.channels for aov in passes.AOVS}
-        layer_passes = tuple(PassPixels(name, channels[name], framed(array, information, scene))
+        layer_passes = tuple(PassPixels(name, information.channels[name], framed(array, information, scene))
                              for name, array in pixels.items())
         layers.append(LayerPixels(f"{layer}.{view}" if view else layer, layer_passes))
         found.append(information)

@@ -70,6 +70,8 @@ class RenderInfo:
     """Milliseconds of each section of a real-time frame"""
     skipped: dict[str, str] = dataclasses.field(default_factory=dict)
     """Sections that real-time frames did without, with the reason"""
+    channels: dict[str, str] = dataclasses.field(default_factory=dict)
+    """A letter per channel of each pass"""
 
 
 FinishedHook = Callable[[str, str, dict[str, np.ndarray], RenderInfo], None]
@@ -216,7 +218,8 @@ class FinalRender:
         info = RenderInfo(frame=self.scene.frame_current, samples=samples, seconds=seconds, crop=self.crop,
                           device=session.device_name, cancelled=bool(engine.test_break()), stats=session.stats,
                           report=merged(session.report, self.report), frame_times=dict(session.frame_times),
-                          skipped=dict(session.skipped))
+                          skipped=dict(session.skipped),
+                          channels={aov.name: aov.channels for aov in self.aovs})
         for hook in list(on_finished):
             hook(self.layer, view, pixels, info)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..engine.group_names import GROUP_PREFIX
 from ..engine.report import Report, ReportKind
 from ..engine.settings import Integrator
 from . import compat
@@ -28,8 +29,6 @@ class Aov:
     """Blender's pass type: COLOR, VECTOR or VALUE."""
     switch: str
     """The property of a view layer that turns it on."""
-    realtime: bool = False
-    """Only the real-time integrator has it."""
 
 
 LIGHT_PASSES = tuple(
@@ -45,7 +44,7 @@ AOVS = (
     Aov(compat.pass_name("Material Index"), "Material Index", "X", 'VALUE', "use_pass_material_index"),
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
-    *(Aov(compat.pass_name(name), name, "RGB", 'COLOR', f"use_pass_{name.lower().replace(' ', '_')}", True)
+    *(Aov(compat.pass_name(name), name, "RGB", 'COLOR', f"use_pass_{name.lower().replace(' ', '_')}")
       for name in LIGHT_PASSES),
 )
 
@@ -53,21 +52,24 @@ AOVS = (
 def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
     """Yield the passes that a view layer asks for and `integrator` has; Combined always: Blender adds it anyway."""
     for aov in AOVS:
-        if aov.name == "Combined" or (getattr(view_layer, aov.switch, False) and has_pass(integrator, aov)):
+        if aov.name == "Combined" or getattr(view_layer, aov.switch, False):
             yield aov
+    if integrator == Integrator.REFERENCE:
+        for name in light_groups(view_layer):
+            yield Aov(f"{GROUP_PREFIX}{name}", f"{GROUP_PREFIX}{name}", "RGB", 'COLOR', "lightgroups")
 
 
-def has_pass(integrator: Integrator, aov: Aov) -> bool:
-    """Tell whether an integrator has a pass."""
-    return integrator == Integrator.REALTIME or not aov.realtime
+def light_groups(view_layer: Any) -> list[str]:
+    """Return the names of a view layer's light groups."""
+    return [group.name for group in getattr(view_layer, "lightgroups", ())]
 
 
 def missing_passes(view_layer: Any, integrator: Integrator) -> Report:
     """Return a report of the passes that a view layer asks for and `integrator` does not have."""
-    report = Report()
-    for aov in AOVS:
-        if getattr(view_layer, aov.switch, False) and not has_pass(integrator, aov):
-            report.add(ReportKind.SKIPPED, "", f"the pass {aov.source} is left out; the realtime integrator has it")
+    report, groups = Report(), light_groups(view_layer)
+    if groups and integrator != Integrator.REFERENCE:
+        names = ", ".join(groups)
+        report.add(ReportKind.SKIPPED, "", f"the light groups {names} are left out; the reference integrator has them")
     return report
 
 

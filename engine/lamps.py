@@ -11,7 +11,7 @@ from ..kernels import types
 from .report import Report, ReportKind
 from .scene import LightData, LightKind
 
-__all__ = ["lamp_array", "lamp_bounds", "lamp_power"]
+__all__ = ["drawn_lamps", "lamp_array", "lamp_bounds", "lamp_power"]
 
 # Spreads below this are drawn as this [rad]; a spread of 0 is a beam that no sample could find.
 MIN_SPREAD = math.radians(0.5)
@@ -90,9 +90,15 @@ def _area_lamp(row: np.void, light: LightData, matrix: np.ndarray, report: Repor
 
 
 def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> np.ndarray:
-    """Return the lamps as a structured array of kernels.types.Light, [L], suns last.
+    """Return the lamps as a structured array of kernels.types.Light, [L], suns last; see drawn_lamps."""
+    rows = [row for _, row in drawn_lamps(lights, origin, report)]
+    return np.array(rows, types.Light.numpy_dtype()) if rows else np.zeros(0, types.Light.numpy_dtype())
 
-    Lamps without power or size are left out.
+
+def drawn_lamps(
+    lights: list[LightData], origin: np.ndarray, report: Report,
+) -> list[tuple[LightData, np.void]]:
+    """Return the lamps that give light with their rows of lamp_array; those without power or size are left out.
 
     Args:
         lights: Lamps in world space.
@@ -126,9 +132,9 @@ def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> n
             report.add(ReportKind.ERROR, f"light '{light.name}'", "strength or position is not finite; left out")
             continue
         if (np.asarray(row["radiance"]) != 0).any():
-            rows.append(row)
-    rows.sort(key=lambda row: row["kind"] == KINDS[LightKind.SUN])
-    return np.array(rows, types.Light.numpy_dtype()) if rows else np.zeros(0, types.Light.numpy_dtype())
+            rows.append((light, row))
+    rows.sort(key=lambda drawn: drawn[1]["kind"] == KINDS[LightKind.SUN])
+    return rows
 
 
 def lamp_bounds(lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

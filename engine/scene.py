@@ -91,6 +91,10 @@ class InstanceTable:
     """uint32 [N], Blender's per-instance random id (Object Info)"""
     color: np.ndarray
     """float32 [N, 4], Object.color"""
+    light_groups: list[str] = field(default_factory=list)
+    """Names of light groups"""
+    light_group_index: np.ndarray | None = None
+    """int32 [N], index into light_groups of what an instance emits, -1 for none; None: none at all"""
 
     @staticmethod
     def empty() -> InstanceTable:
@@ -194,6 +198,7 @@ class LightData:
     cast_shadow: bool = True
     use_mis: bool = True
     visibility: int = int(Visibility.ALL)
+    light_group: str = ""
     program: Program | None = None
     """Not drawn in this version: node trees on lamps are reduced to a constant factor in `color`"""
 
@@ -210,6 +215,7 @@ class WorldData:
     """Width of the sampling table [texels]; the height is half of it"""
     sampling: bool = True
     visibility: int = int(Visibility.ALL)
+    light_group: str = ""
 
 
 class CameraKind(enum.StrEnum):

@@ -23,7 +23,9 @@ from .errors import InvalidScene
 from .frame_data import frame_row
 from .passes.composite import LIGHT_PASSES
 from .passes.final_denoise import FinalDenoise
+from .passes.path_light import is_light_pass
 from .passes.reference import FilmBuffers, ReferencePass
+from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .realtime import Realtime
@@ -146,7 +148,7 @@ class Session:
             width: Of the full frame [px].
             height: Of the full frame [px].
             crop: Region rendered, as x, y, width, height with a bottom-left origin; None is everything.
-            passes: Names from PASSES that will be read, and DENOISED if the picture will be denoised.
+            passes: Names that will be read, from PASSES or of light groups, and DENOISED if the picture is denoised.
 
         Raises:
             InvalidScene: The size or region is impossible.
@@ -156,8 +158,10 @@ class Session:
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
         change = change_since(settings, self.settings)
-        extra = any(name not in ("Combined", DENOISED, *LIGHT_PASSES) for name in passes)
-        key = (crop[2] * crop[3], extra, settings.sampling.integrator)
+        traced = settings.sampling.integrator == Integrator.REFERENCE
+        light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
+        extra = any(name not in ("Combined", DENOISED, *light) for name in passes)
+        key = (crop[2] * crop[3], extra, settings.sampling.integrator, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
         if (camera, width, height, crop) != (self._camera, *getattr(self, "_size", (0, 0, None))):
@@ -167,14 +171,12 @@ class Session:
         with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
             if change & Change.RESIZE:
                 self._film = None
-                self._film = FilmBuffers.make(key[0], extra, self.device)
-                self._pass.resize(key[0], extra)
+                self._film = FilmBuffers.make(key[0], extra, self.device, key[-1])
+                self._pass.resize(key[0], extra, self._film.light)
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
                 self._realtime = self._realtime or Realtime(self.device)
-                self._realtime.configure(
-                    settings, crop[2], crop[3], tuple(name for name in LIGHT_PASSES if name in passes),
-                    DENOISED in passes)
+                self._realtime.configure(settings, crop[2], crop[3], light, DENOISED in passes)
                 if change & Change.RESTART:
                     self._realtime.note_camera()
             else:
@@ -206,6 +208,7 @@ class Session:
         return self.samples_done
 
     def _trace(self, target: int, stop: Callable[[], bool]) -> None:
+        self._film.light.prepare(self._scene)
         self._pass.render(
             self._scene.scene, self._frame, self._options(self._film.passes), self._filter, self._film, target, stop)
 
@@ -271,11 +274,11 @@ class Session:
         Raises:
             KeyError: No such pass, or configure() was not told that it would be read.
         """
-        if name not in PASSES or (name not in ("Combined", *LIGHT_PASSES) and not self._film.passes):
+        if not is_light_pass(name) and (name not in PASSES or (name != "Combined" and not self._film.passes)):
             raise KeyError(name)
         start = time.perf_counter()
         width, height = self._size[2][2], self._size[2][3]
-        picture = self._read_flat(name).reshape(height, width, PASSES[name])
+        picture = self._read_flat(name).reshape(height, width, PASSES.get(name, 3))
         self.stats.times["read"] = time.perf_counter() - start
         return np.array(picture, np.float32, order="C")
 
@@ -323,10 +326,8 @@ class Session:
         buffers = self._film.film
         if name == "Combined":
             return self.resolve().numpy()
-        if name in LIGHT_PASSES:
-            if self._realtime is None:
-                raise KeyError(name)
-            return self._realtime.light_pass(name).numpy()
+        if is_light_pass(name):
+            return (self._realtime.light_pass if self._realtime else self._film.light.read)(name).numpy()
         if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
             self._trace(GEOMETRY_SAMPLES, lambda: False)
         counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
@@ -379,21 +380,8 @@ class Session:
         key = (self.settings.light_paths, self.settings.film, scene.structures.has_filtered, scene.has_light_programs,
                scene.material_table.lean)
         if passes not in self._kept_options or self._kept_options[passes][0] != key:
-            self._kept_options[passes] = (key, self._make_options(passes))
+            self._kept_options[passes] = (key, path_options(self.settings, scene, passes))
         return self._kept_options[passes][1]
-
-    def _make_options(self, passes: bool) -> Options:
-        paths, options = self.settings.light_paths, Options()
-        options.max_bounces, options.roulette_start = paths.max_bounces, paths.roulette_start
-        options.clamp_direct, options.clamp_indirect = paths.clamp_direct, paths.clamp_indirect
-        options.transparent = int(self.settings.film.transparent)
-        options.exposure = self.settings.film.exposure
-        options.passes = int(passes)
-        options.filtered = int(self._scene.structures.has_filtered)
-        options.programs = int(self._scene.has_light_programs)
-        lean = self._scene.material_table.lean
-        options.all_lean, options.all_plain, options.lean_layers = lean.surface, lean.plain, lean.transparency
-        return options
 
     def _memory(self) -> int:
         device = wp.get_device(self.device)

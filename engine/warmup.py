@@ -56,6 +56,9 @@ from ..kernels import (
     gbuffer_rays,
     layers,
     layers_lean,
+    light_groups,
+    light_shares,
+    light_split,
     lobe_moments,
     materials,
     misses,
@@ -109,20 +112,20 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, path_lists, tracing, flat_tracing, flat_paths, flatten, cluster_tree, triangle_split,
-    wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim, cache_debug, cache_lights,
-    cache_rays, cache_shade, cache_spread, composite, composite_debug, denoise_debug, gather_blend, gather_temporal,
-    probe_contact, diffuse_blur, diffuse_temporal, direct_atrous, direct_candidates, direct_debug, direct_emitters,
-    direct_shadow, direct_temporal, gbuffer_debug, gbuffer_rays, probe_blend, probe_debug, probe_gather,
-    probe_interpolate, probe_light, probe_map, probe_place, probe_records, probe_sample, probe_spawn, reproject,
-    rest_blend, environment, misses, layers, shadow_layers, shadow_lights, materials, reference, cache_lean,
-    cache_materials, cache_programs, direct_shade, gbuffer_layers, gbuffer_layers_lean, gbuffer_lean,
+    film, display, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten, cluster_tree,
+    triangle_split, wide_bvh_build, wide_bvh_edit, lobe_moments, antialias, cache_cells, cache_claim, cache_debug,
+    cache_lights, cache_rays, cache_shade, cache_spread, composite, composite_debug, denoise_debug, gather_blend,
+    gather_temporal, probe_contact, diffuse_blur, diffuse_temporal, direct_atrous, direct_candidates, direct_debug,
+    direct_emitters, direct_shadow, direct_temporal, gbuffer_debug, gbuffer_rays, probe_blend, probe_debug,
+    probe_gather, probe_interpolate, probe_light, probe_map, probe_place, probe_records, probe_sample, probe_spawn,
+    reproject, rest_blend, environment, misses, layers, shadow_layers, shadow_lights, materials, reference,
+    cache_lean, cache_materials, cache_programs, direct_shade, gbuffer_layers, gbuffer_layers_lean, gbuffer_lean,
     gbuffer_materials, layers_lean, shadow_layers_lean, reflection_place, reflection_choice, reflection_debug,
     reflection_filter_debug, reflection_trace, reflection_lamps, reflection_screen, reflection_resolve,
-    reflection_start, reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale,
-    reflection_temporal, reflection_lean, reflection_refract, gather_start, gather_further, reflection_tail,
-    reflection_materials, denoise_guides, denoise_guides_lean, reference_lean,
-    reference_plain,
+    reflection_start, reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous,
+    reflection_upscale, reflection_temporal, reflection_lean, reflection_refract, gather_start, gather_further,
+    reflection_tail, reflection_materials, light_groups, light_shares, denoise_guides, denoise_guides_lean,
+    reference_lean, reference_plain,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -104,8 +104,8 @@ def accumulate_samples(
             t = paths.surface_uv[path]
             w = film_out.uv[pixel]
             film_out.uv[pixel] = wp.vec4(w[0] + t[0], w[1] + t[1], w[2] + t[2], w[3])
-            film_out.emission[pixel] = film_out.emission[pixel] + paths.surface_emission[path]
-            film_out.environment[pixel] = film_out.environment[pixel] + paths.environment[path]
+            film_out.emission[pixel] = film_out.emission[pixel] + paths.surface_emission[path] * options.exposure
+            film_out.environment[pixel] = film_out.environment[pixel] + paths.environment[path] * options.exposure
         if first_sample == 0:
             film_out.position[pixel] = paths.surface_position[local]
             film_out.depth[pixel] = paths.surface_normal[local][3]

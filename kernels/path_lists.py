@@ -22,7 +22,9 @@ FULL_HITS = wp.constant(3)
 """Those of them that shade_plain_paths leaves"""
 LAYERED = wp.constant(4)
 LAYERED_SHADOWS = wp.constant(5)
-LIST_COUNT = wp.constant(6)
+FIRST_HITS = wp.constant(6)
+"""Of camera rays, where light passes are asked for"""
+LIST_COUNT = wp.constant(7)
 
 
 @wp.kernel

@@ -11,6 +11,7 @@ __all__ = ["register", "unregister"]
 def _classes() -> tuple[type, ...]:
     from . import (
         data_panels,
+        light_group_panels,
         operators,
         presets,
         realtime_panels,
@@ -21,7 +22,8 @@ def _classes() -> tuple[type, ...]:
     )
 
     return (*operators.classes, *presets.classes, *sampling_panels.classes, *realtime_panels.classes,
-            *render_panels.classes, *report_panels.classes, *data_panels.classes, *shading_panels.classes)
+            *render_panels.classes, *report_panels.classes, *data_panels.classes, *light_group_panels.classes,
+            *shading_panels.classes)
 
 
 def register(services: Any) -> None:

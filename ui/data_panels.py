@@ -192,11 +192,10 @@ class BURNISH_VIEWLAYER_PT_passes_light(BurnishPanel, Panel):
     def draw(self, context: Any) -> None:
         """Draw."""
         layout, layer = self.split_layout(), context.view_layer
-        column = layout.column(heading="Diffuse", align=True)
-        # Only real-time frames keep kinds of light apart.
-        column.active = context.scene.burnish.sampling.integrator == 'REALTIME'
-        for name in ("direct", "indirect", "color"):
-            column.prop(layer, f"use_pass_diffuse_{name}", text=name.title())
+        for lobe in ("diffuse", "glossy", "transmission"):
+            column = layout.column(heading=lobe.title(), align=True)
+            for name in ("direct", "indirect", "color"):
+                column.prop(layer, f"use_pass_{lobe}_{name}", text=name.title())
         column = layout.column(heading="Other", align=True)
         column.prop(layer, "use_pass_emit", text="Emission")
         column.prop(layer, "use_pass_environment")

@@ -66,6 +66,7 @@ class Source:
     color: tuple[float, float, float, float]
     random_id: int
     """For objects that aren't instanced"""
+    light_group: str = ""
 
     @property
     def is_light(self) -> bool:
@@ -147,6 +148,7 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Re
     keys, mesh_index = _number(mesh_keys)
     sets, set_index = _number([source.material_set for source in sources])
     names, name_index = _number([source.name for source in sources])
+    groups, group_index = _number([source.light_group or None for source in sources])
     return InstanceTable(
         mesh_keys=keys,
         mesh_index=mesh_index[by_source],
@@ -160,6 +162,8 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Re
         pass_index=np.array([source.pass_index for source in sources], np.int32)[by_source],
         random_id=gathered.random_ids[keep],
         color=np.array([source.color for source in sources], np.float32).reshape(-1, 4)[by_source],
+        light_groups=groups,
+        light_group_index=group_index[by_source],
     )
 
 
@@ -257,7 +261,8 @@ class _Walk:
         sources.append(Source(
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
-            color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0))
+            color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
+            light_group=owner.lightgroup))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
 

@@ -21,7 +21,7 @@ _ENERGY_LIMIT = 1e30
 
 
 def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int, factor: tuple[float, float, float],
-                  owner: str, report: Report) -> LightData | None:
+                  owner: str, report: Report, light_group: str = "") -> LightData | None:
     """Copy one lamp instance.
 
     Args:
@@ -31,6 +31,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         factor: Constant colour times strength of the lamp's node tree.
         owner: Name for messages, such as `light 'Key'`.
         report: Takes what is not drawn.
+        light_group: Of the lamp's object.
 
     Returns:
         None where the lamp can't light anything (a portal, a broken transform or colour).
@@ -55,6 +56,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         "cast_shadow": bool(light.use_shadow),
         "use_mis": bool(getattr(settings, "use_multiple_importance_sampling", True)),
         "visibility": visibility,
+        "light_group": light_group,
     }
     return LightData(**common, **_shape(light))
 

@@ -124,7 +124,8 @@ def extract_world(world: bpy.types.World | None, images, report: Report) -> Worl
     """Compile a world; None is black. Arguments as for `extract_material`."""
     if world is None:
         return WorldData(name="", program=Program(), constant=(0.0, 0.0, 0.0), importance_resolution=RESOLUTION_SMOOTH)
-    data = WorldData(name=world.name, program=Program(), importance_resolution=RESOLUTION_SMOOTH)
+    data = WorldData(name=world.name, program=Program(), importance_resolution=RESOLUTION_SMOOTH,
+                     light_group=world.lightgroup)
     owner = f"world '{world.name}'"
     if world.node_tree is None:
         data.constant = tuple(world.color)

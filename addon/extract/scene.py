@@ -233,7 +233,7 @@ class SceneExtractor:
             source = gathered.sources[placement.source]
             light = extract_light(source.data, gathered.transforms[index].copy(), placement.visibility,
                                   self._light_factor(source.data, changes), f"light '{source.name}'",
-                                  self._walk_report)
+                                  self._walk_report, source.light_group)
             if light is not None:
                 lights.append(light)
         if not same_lights(lights, self._lights):

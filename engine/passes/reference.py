@@ -9,7 +9,7 @@ answered within a tenth of a second. A band interrupted between samples goes on 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...kernels import (
     flat_paths,
     layers,
     layers_lean,
+    light_split,
     materials,
     misses,
     path_lists,
@@ -35,6 +36,7 @@ from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch, run_bands
 from ..structures import is_flat
+from .path_light import LightFilm
 from .wavefront import Step, Wavefront
 
 __all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
@@ -66,10 +68,12 @@ class FilmBuffers:
     picture: wp.array
     pixel_count: int
     passes: bool
+    light: LightFilm
+    """Sums of the passes of light; false for none"""
 
     @staticmethod
-    def make(pixel_count: int, passes: bool, device: str) -> FilmBuffers:
-        """Allocate a cleared film."""
+    def make(pixel_count: int, passes: bool, device: str, light_passes: Iterable[str] = ()) -> FilmBuffers:
+        """Allocate a cleared film; `light_passes`: names of passes of light, as of is_light_pass."""
         buffers = film.Film()
         extra = pixel_count if passes else 1
         buffers.color = _vectors(pixel_count, wp.vec4, device)
@@ -84,7 +88,8 @@ class FilmBuffers:
             ("environment", wp.vec3),
         ):
             setattr(buffers, name, _vectors(extra, dtype, device))
-        return FilmBuffers(buffers, _vectors(pixel_count, wp.vec4, device), pixel_count, passes)
+        picture = _vectors(pixel_count, wp.vec4, device)
+        return FilmBuffers(buffers, picture, pixel_count, passes, LightFilm(light_passes, pixel_count, device))
 
     def clear(self) -> None:
         """Forget all samples."""
@@ -93,6 +98,7 @@ class FilmBuffers:
             "emission", "environment",
         ):
             getattr(self.film, name).zero_()
+        self.light.clear()
 
 
 @dataclass
@@ -116,11 +122,12 @@ class ReferencePass:
         self.slots: list[Wavefront] = []
         self.lock = threading.Lock()
 
-    def resize(self, pixel_count: int, passes: bool) -> None:
-        """Cut the picture into bands and allocate path states for them."""
+    def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
+        """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
         limit = CPU_BAND_PATHS
         if self.cuda:
-            room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE) // PATH_BYTES
+            room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
+            room //= PATH_BYTES + (light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
@@ -129,6 +136,7 @@ class ReferencePass:
         capacity = max(largest, min(limit, largest * 64)) if self.cuda else largest
         self.slots = []
         self.passes = passes
+        self.light = light
         self.capacity = capacity
 
     def reset(self) -> None:
@@ -154,7 +162,10 @@ class ReferencePass:
         with self.lock:
             if self.slots:
                 return self.slots.pop()
-        return Wavefront(self.capacity, self.passes, self.device)
+        slot = Wavefront(self.capacity, self.passes, self.device)
+        if self.light:
+            slot.light = self.light.make_paths(slot.paths, self.capacity)
+        return slot
 
     def give_slot(self, slot: Wavefront) -> None:
         """Give back what take_slot() returned."""
@@ -204,11 +215,14 @@ class ReferencePass:
             if options.passes == 1:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
             if slot.trace(
-                    "paths", (scene, options), lambda: path_steps(slot, scene, options), frame, filter_table,
+                    "paths", (scene, options, slot.light and slot.light.film.scene_groups),
+                    lambda: path_steps(slot, scene, options), frame, filter_table,
                     (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop):
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
+                if buffers.light:
+                    buffers.light.add(slot.light, options.exposure, band.first, band.count, count)
                 band.samples += count
             if self.cuda:
                 # Callers time samples, and stop between them.
@@ -235,12 +249,20 @@ def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return one segment of every path: the path tracer's table of contents."""
     shadows, shading = [scene, options, slot.rounds], [slot.frame, scene, options]
-    steps = [*hit_steps(slot, scene, options), Step(reference_lean.shade_lean_paths, shading, fills=("next",))]
+    steps, light = hit_steps(slot, scene, options), slot.light
+    if light:
+        steps[-1:-1] = light.steps_before_misses(scene, options)
+        steps += light.steps_before_shading(scene, slot.rounds)
+    steps.append(Step(reference_lean.shade_lean_paths, shading, fills=("next",)))
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
     if not options.all_plain:
         steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
                   Step(reference.shade_paths, shading, over="full_hits", fills=("next",))]
+    if options.passes == 1:
+        steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
+    if light:
+        steps += light.steps_after_shading(scene, slot.rounds)
     if is_flat(scene):
         steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills=("layered_shadows",)))
     else:
@@ -253,4 +275,4 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps.append(Step(weaken, shadows, over="layered_shadows"))
     if options.programs == 1:
         steps.append(Step(shadow_lights.shade_lights, shadows))
-    return steps
+    return steps + (light.steps_after_shadows(slot.rounds) if light else [])

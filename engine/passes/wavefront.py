@@ -11,7 +11,8 @@ list, on the calling thread.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -25,7 +26,7 @@ from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE, make_queue
 __all__ = ["Step", "Wavefront", "make_paths"]
 
 LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
-         "layered_shadows": path_lists.LAYERED_SHADOWS}
+         "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS}
 """Beside "living", the list of each round"""
 
 
@@ -41,6 +42,8 @@ class Step:
     """Lists that it adds to; "next": the paths of the next round"""
     changes: bool = True
     """Whether it changes the paths: they come before the list then, among its outputs"""
+    outputs: list = field(default_factory=list)
+    """What else it writes: between the two"""
 
 
 def make_paths(count: int, passes: bool, device: str) -> Paths:
@@ -72,6 +75,8 @@ class Wavefront:
         self.cuda = wp.get_device(device).is_cuda
         self.capacity = capacity
         self.paths = make_paths(capacity, passes, device)
+        self.light: Any = None
+        """What is kept of the paths for the passes of light (path_light.py)"""
         self.frame = wp.zeros(1, dtype=FrameData, device=device)
         self.rounds = wp.zeros(1, dtype=int, device=device)
         """Surfaces that the paths have met before this round's"""
@@ -200,7 +205,7 @@ class Wavefront:
             threads = ONCE
             if self.cuda:
                 threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
-            outputs = [self.paths] if step.changes else []
+            outputs = [*([self.paths] if step.changes else []), *step.outputs]
             for name in step.fills:
                 filled = int(places[name])
                 outputs += [self._queue(filled), self._counts[filled : filled + 1]]

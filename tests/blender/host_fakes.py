@@ -91,11 +91,11 @@ class FakeSession:
         _, _, width, height, crop, passes = self._config
         assert name in passes, (name, passes)
         x, y, w, h = crop or (0, 0, width, height)
-        pixels = np.zeros((h, w, CHANNELS[name]), np.float32)
+        pixels = np.zeros((h, w, CHANNELS.get(name, 3)), np.float32)
         pixels[..., 0] = np.arange(x, x + w, dtype=np.float32)
-        if CHANNELS[name] > 1:
+        if CHANNELS.get(name, 3) > 1:
             pixels[..., 1] = np.arange(y, y + h, dtype=np.float32)[:, None]
-        if CHANNELS[name] == 4:
+        if CHANNELS.get(name, 3) == 4:
             pixels[..., 3] = 1.0
         return pixels
 

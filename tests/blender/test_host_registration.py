@@ -121,6 +121,13 @@ class Layout:
     def label(self, text="", **options): assert isinstance(text, str)
     def separator(self): pass
     def template_preview(self, data): pass
+    def prop_search(self, data, name, source, items, **options):
+        assert items in source.bl_rna.properties, (source, items)
+        self.prop(data, name)
+    def template_list(self, kind, identifier, data, name, active_data, active_name, **options):
+        self.prop(data, name)
+        self.prop(active_data, active_name)
+    def menu(self, name, **options): assert hasattr(bpy.types, name), name
     def template_node_view(self, tree, node, socket): drawn.add(node.name)
     def row(self, **options): return Layout()
     column = box = split = row
@@ -151,8 +158,9 @@ for light, integrator in zip(lamps, ('REFERENCE', 'REALTIME') * 2):
             panel.draw(instance, context)
             if hasattr(panel, "draw_header"):
                 panel.draw_header(instance, context)
-both = {"integrator", "samples", "energy", "use_pass_emit", "visible_shadow", "max_bounces"}
-assert both | {"spot_size"} <= drawn_by['REFERENCE'], drawn_by
+both = {"integrator", "samples", "energy", "use_pass_emit", "visible_shadow", "max_bounces", "lightgroup",
+        "use_pass_diffuse_color", "use_pass_glossy_direct", "use_pass_transmission_indirect"}
+assert both | {"spot_size", "lightgroups"} <= drawn_by['REFERENCE'], drawn_by
 from burnish.engine.settings import (
     CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings, setting_info)
 groups = (CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings)

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's settings as its kernels read them."""
+
+from __future__ import annotations
+
+from ..kernels.paths import Options
+from .device_scene import DeviceScene
+from .settings import RenderSettings
+
+__all__ = ["path_options"]
+
+
+def path_options(settings: RenderSettings, scene: DeviceScene, passes: bool) -> Options:
+    """Return the kernels' settings for a scene; `passes`: whether the first hits' data are kept."""
+    paths, options = settings.light_paths, Options()
+    options.max_bounces, options.roulette_start = paths.max_bounces, paths.roulette_start
+    options.clamp_direct, options.clamp_indirect = paths.clamp_direct, paths.clamp_indirect
+    options.transparent = int(settings.film.transparent)
+    options.exposure = settings.film.exposure
+    options.passes = int(passes)
+    options.filtered = int(scene.structures.has_filtered)
+    options.programs = int(scene.has_light_programs)
+    lean = scene.material_table.lean
+    options.all_lean, options.all_plain, options.lean_layers = lean.surface, lean.plain, lean.transparency
+    return options
