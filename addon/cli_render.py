@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,8 @@ def render_file(source: Path, target: Path, arguments: argparse.Namespace, conso
     seconds = time.perf_counter() - start
     if target.suffix.lower() == ".exr":
         attributes = {"Software": "Burnish", "burnish:samples": information.samples, "burnish:seconds": seconds,
-                      "burnish:device": information.device, "burnish:frame": scene.frame_current}
+                      "burnish:device": information.device, "burnish:frame": scene.frame_current,
+                      **information.header}
         write_exr(target, layers, attributes)
     else:
         save_png(target, layers[0].combined, scene)
@@ -157,7 +159,7 @@ def render(scene: Any, debug_view: str = "") -> tuple[list[LayerPixels], Any]:
         final.debug_view = ""
     if not layers:
         raise BurnishError("The render was cancelled; nothing was saved.")
-    return layers, found[0]
+    return layers, replace(found[0], header={name: text for each in found for name, text in each.header.items()})
 
 
 def framed(pixels: np.ndarray, information: final.RenderInfo, scene: Any) -> np.ndarray:

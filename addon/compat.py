@@ -12,7 +12,7 @@ __all__ = ["exit_handlers", "pass_name", "set_texture_filter"]
 # Pass names before 5.0 (Blender renamed its built-in passes then).
 OLD_PASS_NAMES = {
     "Object Index": "IndexOB", "Material Index": "IndexMA", "Emission": "Emit", "Environment": "Env",
-    "Diffuse Direct": "DiffDir", "Diffuse Indirect": "DiffInd", "Diffuse Color": "DiffCol",
+    "Ambient Occlusion": "AO", "Diffuse Direct": "DiffDir", "Diffuse Indirect": "DiffInd", "Diffuse Color": "DiffCol",
     "Glossy Direct": "GlossDir", "Glossy Indirect": "GlossInd", "Glossy Color": "GlossCol",
     "Transmission Direct": "TransDir", "Transmission Indirect": "TransInd", "Transmission Color": "TransCol",
 }

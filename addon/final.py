@@ -18,6 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..engine.cryptomatte import matte_header
 from ..engine.errors import BurnishError, InvalidScene
 from ..engine.report import Report, ReportKind
 from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
@@ -26,6 +27,7 @@ from ..engine.session import DENOISED
 from ..engine.settings import DebugSettings, Integrator, RenderSettings
 from . import builds, oidn, passes, preferences, preview, report
 from .extract.camera import camera_from_scene
+from .extract.motion import OtherFrame, read_other_frames
 from .extract.scene import ExtractionCancelled, SceneExtractor
 from .extract.settings import settings_from_scene
 from .passes import LIGHT_PASSES
@@ -72,6 +74,8 @@ class RenderInfo:
     """Sections that real-time frames did without, with the reason"""
     channels: dict[str, str] = dataclasses.field(default_factory=dict)
     """A letter per channel of each pass"""
+    header: dict[str, str] = dataclasses.field(default_factory=dict)
+    """What files say beside the pixels: Cryptomatte's names"""
 
 
 FinishedHook = Callable[[str, str, dict[str, np.ndarray], RenderInfo], None]
@@ -163,7 +167,11 @@ class FinalRender:
         integrator = self.settings.sampling.integrator
         self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval, integrator))
         self.report = passes.missing_passes(depsgraph.view_layer_eval, integrator)
+        self.alpha_threshold = depsgraph.view_layer_eval.pass_alpha_threshold
         self.facts = SceneFacts()
+        self.others: tuple[OtherFrame, ...] = ()
+        """The frames before and after, where they are asked for"""
+        self.mesh_keys: dict[tuple[int, int], int] = {}
         self.views = view_names(scene.render)
         self.width, self.height = engine.resolution_x, engine.resolution_y
         self.crop = crop_rectangle(scene.render, self.width, self.height)
@@ -172,11 +180,16 @@ class FinalRender:
 
     def run(self, session: Any, extractor: SceneExtractor, depsgraph: Any) -> None:
         """Extract the scene once and render each view."""
+        if any(aov.source == "Vector" for aov in self.aovs):
+            self.progress.stage("Reading the frames before and after")
+            self.others = read_other_frames(self.engine, depsgraph, lambda: self._cameras(depsgraph))
+            self.scene = depsgraph.scene_eval
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)
         self.facts = scene_facts(extractor.materials())
         session.update(delta, self.progress.stage)
+        self.mesh_keys = extractor.mesh_keys() if self.others else {}
         for part, view in enumerate(self.views):
             self.progress.part = part
             if len(self.views) > 1:
@@ -184,6 +197,14 @@ class FinalRender:
             self._render_view(session, depsgraph, view)
             if self.engine.test_break():
                 return
+
+    def _cameras(self, depsgraph: Any) -> dict[str, CameraData]:
+        """Return the cameras of all views as they are evaluated now."""
+        cameras = {}
+        for view in self.views:
+            self.engine.active_view_set(view)
+            cameras[view] = view_camera(self.engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
+        return cameras
 
     def _render_view(self, session: Any, depsgraph: Any, view: str) -> None:
         engine = self.engine
@@ -198,6 +219,8 @@ class FinalRender:
         for (kind, owner, message), count in approximations.counts.items():
             # Once, however many views there are.
             self.report.counts[kind, owner, message] = count
+        session.first_hits.alpha_threshold = self.alpha_threshold
+        session.first_hits.motion = tuple(other.motion(view, self.mesh_keys) for other in self.others) or None
         session.configure(self.settings, camera, self.width, self.height, self.crop, names)
         # A kept session remembers the frame before: a picture must not depend on what was rendered before it.
         session.reset()
@@ -212,13 +235,17 @@ class FinalRender:
             pixels = {aov.name: self._combined(session) if aov.name == "Combined" else session.read(aov.source)
                       for aov in self.aovs}
             self._write(result, pixels)
+            header = matte_header(self.layer, session.first_hits.manifests)
+            for field, text in header.items():
+                # Where compositor nodes and files look for it; `result` hands over pixels alone.
+                engine.get_result().stamp_data_add_field(field, text)
             finished = True
         finally:
             engine.end_result(result, cancel=not finished)
         info = RenderInfo(frame=self.scene.frame_current, samples=samples, seconds=seconds, crop=self.crop,
                           device=session.device_name, cancelled=bool(engine.test_break()), stats=session.stats,
                           report=merged(session.report, self.report), frame_times=dict(session.frame_times),
-                          skipped=dict(session.skipped),
+                          skipped=dict(session.skipped), header=header,
                           channels={aov.name: aov.channels for aov in self.aovs})
         for hook in list(on_finished):
             hook(self.layer, view, pixels, info)

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ..engine.group_names import GROUP_PREFIX
+from ..engine.pass_names import COLOR_AOV, MATTE_KINDS, VALUE_AOV
 from ..engine.report import Report, ReportKind
 from ..engine.settings import Integrator
 from . import compat
 
-__all__ = ["AOVS", "Aov", "enabled_aovs", "missing_passes", "register_passes", "write_pass"]
+__all__ = ["AOVS", "Aov", "aov_source", "enabled_aovs", "missing_passes", "register_passes", "write_pass"]
 
 
 @dataclass(frozen=True)
@@ -37,16 +38,28 @@ LIGHT_PASSES = tuple(
 AOVS = (
     Aov("Combined", "Combined", "RGBA", 'COLOR', "use_pass_combined"),
     Aov("Depth", "Depth", "Z", 'VALUE', "use_pass_z"),
+    Aov("Mist", "Mist", "Z", 'VALUE', "use_pass_mist"),
     Aov("Position", "Position", "XYZ", 'VECTOR', "use_pass_position"),
     Aov("Normal", "Normal", "XYZ", 'VECTOR', "use_pass_normal"),
+    Aov("Vector", "Vector", "XYZW", 'VECTOR', "use_pass_vector"),
     Aov("UV", "UV", "UVA", 'VECTOR', "use_pass_uv"),
     Aov(compat.pass_name("Object Index"), "Object Index", "X", 'VALUE', "use_pass_object_index"),
     Aov(compat.pass_name("Material Index"), "Material Index", "X", 'VALUE', "use_pass_material_index"),
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
+    Aov(compat.pass_name("Ambient Occlusion"), "Ambient Occlusion", "RGB", 'COLOR', "use_pass_ambient_occlusion"),
     *(Aov(compat.pass_name(name), name, "RGB", 'COLOR', f"use_pass_{name.lower().replace(' ', '_')}")
       for name in LIGHT_PASSES),
 )
+
+MATTE_SWITCHES = {kind: f"use_pass_cryptomatte_{kind.removeprefix('Crypto').lower()}" for kind in MATTE_KINDS}
+
+NOT_DRAWN = {"Shadow": "use_pass_shadow", "Subsurface Direct": "use_pass_subsurface_direct",
+             "Subsurface Indirect": "use_pass_subsurface_indirect", "Subsurface Color": "use_pass_subsurface_color",
+             "Volume Direct": "use_pass_volume_direct", "Volume Indirect": "use_pass_volume_indirect",
+             "Volume Scatter": "use_pass_volume_scatter", "Volume Transmit": "use_pass_volume_transmit",
+             "Shadow Catcher": "use_pass_shadow_catcher"}
+"""Passes that neither integrator has, by their switches: of the view layer or of Cycles' settings of it"""
 
 
 def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
@@ -54,9 +67,24 @@ def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
     for aov in AOVS:
         if aov.name == "Combined" or getattr(view_layer, aov.switch, False):
             yield aov
+    for kind, switch in MATTE_SWITCHES.items():
+        # Two things a pass. Small letters: by these names OpenEXR's lossy compression leaves ids alone.
+        for number in range((view_layer.pass_cryptomatte_depth + 1) // 2 if getattr(view_layer, switch) else 0):
+            name = f"{kind}{number:02d}"
+            yield Aov(name, name, "rgba", 'COLOR', switch)
+    for aov in view_layer.aovs:
+        if aov.is_valid and aov.type == 'VALUE':
+            yield Aov(aov.name, aov_source(aov), "X", 'VALUE', "aovs")
+        elif aov.is_valid:
+            yield Aov(aov.name, aov_source(aov), "RGBA", 'COLOR', "aovs")
     if integrator == Integrator.REFERENCE:
         for name in light_groups(view_layer):
             yield Aov(f"{GROUP_PREFIX}{name}", f"{GROUP_PREFIX}{name}", "RGB", 'COLOR', "lightgroups")
+
+
+def aov_source(aov: Any) -> str:
+    """Return the engine's name of a shader AOV's pass."""
+    return (VALUE_AOV if aov.type == 'VALUE' else COLOR_AOV) + aov.name
 
 
 def light_groups(view_layer: Any) -> list[str]:
@@ -70,6 +98,9 @@ def missing_passes(view_layer: Any, integrator: Integrator) -> Report:
     if groups and integrator != Integrator.REFERENCE:
         names = ", ".join(groups)
         report.add(ReportKind.SKIPPED, "", f"the light groups {names} are left out; the reference integrator has them")
+    for name, switch in NOT_DRAWN.items():
+        if any(getattr(owner, switch, False) for owner in (view_layer, getattr(view_layer, "cycles", None))):
+            report.add(ReportKind.SKIPPED, "", f"the pass {name} is left out; this version does not have it")
     return report
 
 

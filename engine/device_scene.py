@@ -207,7 +207,8 @@ class DeviceScene:
             self.names = names
             self.material_table.build(
                 self.materials, None if self.world is None else self.world.program, self.textures.index,
-                self.store.uv_id, self.store.attribute_id, tuple(self.origin))
+                self.store.uv_id, self.store.attribute_id, tuple(self.origin),
+                None if self.world is None else self.world.aovs)
         return changed
 
     # -- instances ----------------------------------------------------------------------------------------------

@@ -83,6 +83,9 @@ class MaterialTable:
         self._programs: dict[Hashable, tuple[Program, int]] = {}
         self._used: frozenset[Hashable] | None = None
         self.indices: dict[Hashable, int] = {}
+        self.aov_starts: dict[str, np.ndarray] = {}
+        """By shader AOV, the first instruction of each material's program, then the world's: int32 [materials + 1];
+        -1 without one"""
         self.bytes = 0
         self.build({}, None, lambda key: 0, lambda name: -1, lambda name: -1)
 
@@ -98,6 +101,7 @@ class MaterialTable:
         uv_map_index: Callable[[str], int],
         attribute_index: Callable[[str], int],
         origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        world_aovs: Mapping[str, Program] | None = None,
     ) -> None:
         """Build all arrays anew.
 
@@ -108,6 +112,7 @@ class MaterialTable:
             uv_map_index: Returns the id of a UV map's name (columns of Geometry.uv_offsets), -1 where no mesh has it.
             attribute_index: The same for attributes.
             origin: What the host subtracted from all world coordinates.
+            world_aovs: Shader AOVs of the world.
         """
         table = _Table(image_index, uv_map_index, attribute_index)
         table.constants[codes.CONSTANT_ORIGIN] = (*origin, 0.0)
@@ -130,7 +135,17 @@ class MaterialTable:
         self._used = None
         self.note_used(everything)
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
+        self._add_aovs(table, [*(data.aovs for data in everything.values()), world_aovs or {}])
         self._upload(table, records, world_start)
+
+    def _add_aovs(self, table: _Table, programs: list[Mapping[str, Program]]) -> None:
+        """Add the programs of shader AOVs: of each material, and of the world as the last."""
+        self.aov_starts = {}
+        for row, found in enumerate(programs):
+            for name, program in found.items():
+                starts = self.aov_starts.setdefault(name, np.full(len(programs), -1, np.int32))
+                starts[row] = table.add_code(program.emission, program, table.add_tables(program))
+                self.uses_camera |= program.uses_camera
 
     def note_used(self, keys: Iterable[Hashable]) -> None:
         """Take in which materials are on anything drawn: `lean` and `reflectors` tell of these alone."""

@@ -19,8 +19,8 @@ import numpy as np
 from .program import Program
 
 __all__ = [
-    "AlphaMode", "CameraData", "CameraKind", "ColorEncoding", "ImageData", "InstanceTable", "LightData", "LightKind",
-    "MaterialData", "MeshData", "SceneDelta", "Visibility", "WorldData",
+    "AlphaMode", "CameraData", "CameraKind", "ColorEncoding", "FrameMotion", "ImageData", "InstanceTable", "LightData",
+    "LightKind", "MaterialData", "MeshData", "MistData", "SceneDelta", "Visibility", "WorldData",
 ]
 
 Key = Hashable
@@ -91,6 +91,8 @@ class InstanceTable:
     """uint32 [N], Blender's per-instance random id (Object Info)"""
     color: np.ndarray
     """float32 [N, 4], Object.color"""
+    asset_names: list[str] = field(default_factory=list)
+    """K names of the objects' uppermost parents, for Cryptomatte; empty: their own"""
     light_groups: list[str] = field(default_factory=list)
     """Names of light groups"""
     light_group_index: np.ndarray | None = None
@@ -121,6 +123,8 @@ class MaterialData:
     """Whether its emissive triangles are sampled as lamps"""
     constant_emission: tuple[float, float, float] | None = None
     """The emitted radiance where it is the same everywhere, else None (the program is evaluated)"""
+    aovs: dict[str, Program] = field(default_factory=dict)
+    """Shader AOVs by the names of their passes (pass_names.py): programs that emit the value"""
 
 
 class ColorEncoding(enum.StrEnum):
@@ -203,6 +207,18 @@ class LightData:
     """Not drawn in this version: node trees on lamps are reduced to a constant factor in `color`"""
 
 
+@dataclass(frozen=True, kw_only=True)
+class MistData:
+    """The mist of a world; the defaults are what Cycles takes without one."""
+
+    start: float = 0.0
+    """Distance from the camera up to which there is none [m]"""
+    depth: float = 100.0
+    """Distance over which it becomes opaque [m]"""
+    falloff: float = 1.0
+    """Exponent of its growth"""
+
+
 @dataclass(kw_only=True, eq=False)
 class WorldData:
     """The surroundings as a program evaluated per direction (register: radiance)."""
@@ -216,6 +232,11 @@ class WorldData:
     sampling: bool = True
     visibility: int = int(Visibility.ALL)
     light_group: str = ""
+    mist: MistData = MistData()
+    occlusion_distance: float = 10.0
+    """Distance within which things count for the Ambient Occlusion pass [m]"""
+    aovs: dict[str, Program] = field(default_factory=dict)
+    """As of materials"""
 
 
 class CameraKind(enum.StrEnum):
@@ -249,6 +270,19 @@ class CameraData:
     """0..2: round"""
     aperture_rotation: float = 0.0
     aperture_ratio: float = 1.0
+
+
+@dataclass(kw_only=True, eq=False)
+class FrameMotion:
+    """Where things are in another frame, for the Vector pass; what is not named here is where it is in this one."""
+
+    camera: CameraData
+    object_keys: list[Key]
+    """As of an InstanceTable"""
+    transforms: np.ndarray
+    """float64 [N, 4, 4], by object_keys"""
+    positions: dict[Key, np.ndarray] = field(default_factory=dict)
+    """float32 [V, 3], by mesh key, of meshes that deform; left out where V is another then"""
 
 
 @dataclass(kw_only=True, eq=False)

@@ -21,15 +21,17 @@ from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
 from .errors import InvalidScene
 from .frame_data import frame_row
+from .pass_names import first_hit_channels
 from .passes.composite import LIGHT_PASSES
 from .passes.final_denoise import FinalDenoise
+from .passes.first_hits import FirstHits
 from .passes.path_light import is_light_pass
 from .passes.reference import FilmBuffers, ReferencePass
 from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .realtime import Realtime
-from .report import Report, ReportKind
+from .report import Report
 from .scene import CameraData, SceneDelta
 from .settings import Change, Integrator, RenderSettings, change_since
 from .warmup import warm_up
@@ -43,7 +45,7 @@ PASSES = {
     "Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
     "Object Index": 1, "Material Index": 1, **dict.fromkeys(LIGHT_PASSES, 3),
 }
-"""Channels of each picture that read() gives."""
+"""Channels of each picture that read() gives, beside those of pass_names.py"""
 
 DENOISED = "Denoised"
 """Stands among the passes of configure() for read_denoised()"""
@@ -97,6 +99,7 @@ class Session:
         self._kept_options: dict[bool, tuple[tuple, Options]] = {}
         self._realtime: Realtime | None = None
         self.denoiser = FinalDenoise(self.device)
+        self.first_hits = FirstHits(self.device)
         self.timed = False
         """Measure every section of real-time frames (slower: each is waited for)"""
 
@@ -160,7 +163,7 @@ class Session:
         change = change_since(settings, self.settings)
         traced = settings.sampling.integrator == Integrator.REFERENCE
         light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
-        extra = any(name not in ("Combined", DENOISED, *light) for name in passes)
+        extra = any(name in PASSES and name not in ("Combined", *light) for name in passes)
         key = (crop[2] * crop[3], extra, settings.sampling.integrator, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
@@ -168,6 +171,7 @@ class Session:
             change |= Change.RESTART
         self.settings, self._camera, self._size = settings, camera, (width, height, crop)
         self._set_frame()
+        self.first_hits.configure(passes, crop[2] * crop[3])
         with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
             if change & Change.RESIZE:
                 self._film = None
@@ -257,6 +261,7 @@ class Session:
             self._film.clear()
         self._pass.reset()
         self.denoiser.reset()
+        self.first_hits.reset()
         self.stats.times["sampling"] = 0.0
 
     def close(self) -> None:
@@ -264,6 +269,7 @@ class Session:
         self._film = None
         self._realtime = None
         self.denoiser = FinalDenoise(self.device)
+        self.first_hits = FirstHits(self.device)
         self._kept_options = {}
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
@@ -274,11 +280,13 @@ class Session:
         Raises:
             KeyError: No such pass, or configure() was not told that it would be read.
         """
-        if not is_light_pass(name) and (name not in PASSES or (name != "Combined" and not self._film.passes)):
+        channels = first_hit_channels(name) or PASSES.get(name, 3)
+        if not (name == "Combined" or first_hit_channels(name) or is_light_pass(name)
+                or (name in PASSES and self._film.passes)):
             raise KeyError(name)
         start = time.perf_counter()
         width, height = self._size[2][2], self._size[2][3]
-        picture = self._read_flat(name).reshape(height, width, PASSES.get(name, 3))
+        picture = self._read_flat(name).reshape(height, width, channels)
         self.stats.times["read"] = time.perf_counter() - start
         return np.array(picture, np.float32, order="C")
 
@@ -289,15 +297,18 @@ class Session:
         wp.launch(
             film.resolve_color, self._film.pixel_count,
             [self._film.film, int(self.settings.film.transparent)], [self._film.picture], device=self.device)
-        self._count_oddities()
+        self._sampling_report = self._film.oddities(self._scene.structures.has_filtered)
         return self._film.picture
 
     def guides(self) -> tuple[wp.array, wp.array]:
         """Return albedo, 0..1, and normal of what pixels show, as read_denoised() uses them: vec3 [h * w] each."""
-        traced = self._realtime.samples() if self._realtime is not None else None
-        tracer = self._pass if traced is None else traced[0]
         options, done = self._options(False), self.samples_done
-        return self.denoiser.guides(tracer, self._scene.scene, self._frame, options, self._filter, done)
+        return self.denoiser.guides(self._tracer(), self._scene.scene, self._frame, options, self._filter, done)
+
+    def _tracer(self) -> ReferencePass:
+        """Return the path tracer that has states already."""
+        traced = self._realtime.samples() if self._realtime is not None else None
+        return self._pass if traced is None else traced[0]
 
     def read_denoised(self, library: ctypes.CDLL) -> np.ndarray:
         """Return the Combined picture without noise: float32 [h, w, 4], as read() does.
@@ -328,6 +339,10 @@ class Session:
             return self.resolve().numpy()
         if is_light_pass(name):
             return (self._realtime.light_pass if self._realtime else self._film.light.read)(name).numpy()
+        if first_hit_channels(name):
+            with device_errors("passes of the first surfaces"):
+                return self.first_hits.read(name, self._scene, self._frame, self._filter, self.samples_done,
+                                            self._tracer(), self._options(False))
         if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
             self._trace(GEOMETRY_SAMPLES, lambda: False)
         counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
@@ -348,20 +363,6 @@ class Session:
         if name == "Object Index":
             return buffers.position.numpy()[:, 3:4]
         return uv[:, 3:4]
-
-    def _count_oddities(self) -> None:
-        """Tell what the kernels counted while sampling."""
-        self._sampling_report = Report()
-        buffers = self._film.film
-        rejected = int(wp.utils.array_sum(buffers.rejected))
-        if rejected:
-            self._sampling_report.add(
-                ReportKind.ERROR, "", "samples that were not finite were left out of the picture", rejected)
-        if self._scene.structures.has_filtered:
-            overruns = int(wp.utils.array_sum(buffers.overruns))
-            if overruns:
-                self._sampling_report.add(
-                    ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there", overruns)
 
     def _set_frame(self) -> None:
         if self._camera is not None:

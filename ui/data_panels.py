@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper, ViewLayerCryptomattePanelHelper
 from bpy.types import Panel
 
 from .panel import BurnishPanel, draw_node_input
@@ -175,7 +176,7 @@ class BURNISH_VIEWLAYER_PT_passes_data(BurnishPanel, Panel):
         """Draw."""
         layout, layer = self.split_layout(), context.view_layer
         column = layout.column(heading="Include", align=True)
-        for name in ("combined", "z", "position", "normal", "uv"):
+        for name in ("combined", "z", "mist", "position", "normal", "vector", "uv"):
             column.prop(layer, f"use_pass_{name}")
         column = layout.column(heading="Indexes", align=True)
         column.prop(layer, "use_pass_object_index")
@@ -199,6 +200,23 @@ class BURNISH_VIEWLAYER_PT_passes_light(BurnishPanel, Panel):
         column = layout.column(heading="Other", align=True)
         column.prop(layer, "use_pass_emit", text="Emission")
         column.prop(layer, "use_pass_environment")
+        column.prop(layer, "use_pass_ambient_occlusion", text="Ambient Occlusion")
+
+
+class BURNISH_VIEWLAYER_PT_passes_cryptomatte(BurnishPanel, ViewLayerCryptomattePanelHelper, Panel):
+    """Passes of coverage by things."""
+
+    bl_label = "Cryptomatte"
+    bl_context = "view_layer"
+    bl_parent_id = "BURNISH_VIEWLAYER_PT_passes"
+
+
+class BURNISH_VIEWLAYER_PT_passes_aov(BurnishPanel, ViewLayerAOVPanelHelper, Panel):
+    """Passes of AOV Output nodes."""
+
+    bl_label = "Shader AOV"
+    bl_context = "view_layer"
+    bl_parent_id = "BURNISH_VIEWLAYER_PT_passes"
 
 
 classes = (
@@ -211,4 +229,6 @@ classes = (
     BURNISH_VIEWLAYER_PT_passes,
     BURNISH_VIEWLAYER_PT_passes_data,
     BURNISH_VIEWLAYER_PT_passes_light,
+    BURNISH_VIEWLAYER_PT_passes_cryptomatte,
+    BURNISH_VIEWLAYER_PT_passes_aov,
 )

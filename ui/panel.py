@@ -23,7 +23,7 @@ EXCLUDED_PANELS = {
 # EEVEE's panels for what is common to both engines.
 EEVEE_PANELS = {
     'DATA_PT_camera_dof', 'DATA_PT_camera_dof_aperture', 'EEVEE_MATERIAL_PT_context_material', 'MATERIAL_PT_preview',
-    'OBJECT_PT_shadow_terminator',
+    'EEVEE_WORLD_PT_mist', 'OBJECT_PT_shadow_terminator',
 }
 
 

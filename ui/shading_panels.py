@@ -102,6 +102,17 @@ class BURNISH_WORLD_PT_ray_visibility(WorldPanel, Panel):
             column.prop(context.world.cycles_visibility, name)
 
 
+class BURNISH_WORLD_PT_occlusion(WorldPanel, Panel):
+    """How far a world's Ambient Occlusion pass looks."""
+
+    bl_label = "Ambient Occlusion Pass"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        self.split_layout().prop(context.world.light_settings, "distance")
+
+
 class BURNISH_VIEW3D_PT_lighting(Panel):
     """The popover's lighting: shown, so that it is clear what is not followed."""
 
@@ -129,5 +140,6 @@ classes = (
     BURNISH_WORLD_PT_preview,
     BURNISH_WORLD_PT_surface,
     BURNISH_WORLD_PT_ray_visibility,
+    BURNISH_WORLD_PT_occlusion,
     BURNISH_VIEW3D_PT_lighting,
 )

@@ -80,7 +80,7 @@ class MeshKeys:
 
     def assign(self, sources: list[Source]) -> tuple[list[int | None], dict[int, Source]]:
         """Return the key of each source (None for lamps) and, by key, the sources whose evaluated mesh is new."""
-        versions, slots = self._describe(sources)
+        versions, slots = self.describe(sources)
         by_version = {version: self._by_version[version] for version in slots if version in self._by_version}
         taken = set(by_version.values())
         new = {}
@@ -98,8 +98,13 @@ class MeshKeys:
         self._by_slot = {slot: by_version[version] for version, slot in slots.items()}
         return [None if version is None else by_version[version] for version in versions], new
 
+    @property
+    def by_slot(self) -> dict[tuple[int, int], int]:
+        """Return the keys by the slots of `describe`."""
+        return self._by_slot
+
     @staticmethod
-    def _describe(sources: list[Source]) -> tuple[list[Hashable | None], dict[Hashable, tuple[int, int]]]:
+    def describe(sources: list[Source]) -> tuple[list[Hashable | None], dict[Hashable, tuple[int, int]]]:
         """Return each source's version and, by version, its slot: (first owner, how many meshes it had before)."""
         versions: list[Hashable | None] = []
         slots: dict[Hashable, tuple[int, int]] = {}

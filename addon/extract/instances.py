@@ -66,6 +66,8 @@ class Source:
     color: tuple[float, float, float, float]
     random_id: int
     """For objects that aren't instanced"""
+    asset: str
+    """Name of the uppermost parent, its own without one"""
     light_group: str = ""
 
     @property
@@ -147,14 +149,14 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Re
     by_source = source_of[rows]
     keys, mesh_index = _number(mesh_keys)
     sets, set_index = _number([source.material_set for source in sources])
-    names, name_index = _number([source.name for source in sources])
+    names, name_index = _number([(source.name, source.asset) for source in sources])
     groups, group_index = _number([source.light_group or None for source in sources])
     return InstanceTable(
         mesh_keys=keys,
         mesh_index=mesh_index[by_source],
         transforms=np.ascontiguousarray(gathered.transforms[keep]),
         object_keys=_object_keys(gathered, rows, gathered.persistent_ids[keep]),
-        object_names=names,
+        object_names=[name for name, _ in names],
         object_name_index=name_index[by_source],
         material_sets=sets,
         material_set_index=set_index[by_source],
@@ -162,6 +164,7 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Re
         pass_index=np.array([source.pass_index for source in sources], np.int32)[by_source],
         random_id=gathered.random_ids[keep],
         color=np.array([source.color for source in sources], np.float32).reshape(-1, 4)[by_source],
+        asset_names=[asset for _, asset in names],
         light_groups=groups,
         light_group_index=group_index[by_source],
     )
@@ -262,6 +265,7 @@ class _Walk:
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
             color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
+            asset=_uppermost(owner).name,
             light_group=owner.lightgroup))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
@@ -280,6 +284,12 @@ class _Walk:
         key = material.original.session_uid
         self.gathered.materials.setdefault(key, material)
         return key
+
+
+def _uppermost(item: bpy.types.Object) -> bpy.types.Object:
+    while item.parent is not None:
+        item = item.parent
+    return item
 
 
 def _ray_visibility(item: bpy.types.Object) -> Visibility:

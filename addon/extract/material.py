@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import bpy
 
+from ...engine.pass_names import COLOR_AOV, VALUE_AOV
 from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
-from ...engine.scene import MaterialData, Visibility, WorldData
+from ...engine.scene import MaterialData, MistData, Visibility, WorldData
 from . import node_inputs, node_maths, node_textures  # noqa: F401  (they register their translators)
 from .node_graph import Graph
 from .node_shaders import add_shader
 
 __all__ = ["extract_light_factor", "extract_material", "extract_world"]
 
+MIST_FALLOFF = {'QUADRATIC': 2.0, 'LINEAR': 1.0, 'INVERSE_QUADRATIC': 0.5}
 RESOLUTION_SMOOTH = 256
 RESOLUTION_MIN = 512
 RESOLUTION_MAX = 4096
@@ -53,13 +55,38 @@ def output_node(tree):
     return tree.get_output_node('CYCLES')
 
 
-def extract_material(material: bpy.types.Material, images, report: Report) -> MaterialData:
+def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str, *, world: bool = False,
+                 ) -> dict[str, Program]:
+    """Compile what the AOV Output nodes of an inlined tree say, by the engine's names of the passes."""
+    programs = {}
+    for source in aovs:
+        name = source.removeprefix(COLOR_AOV).removeprefix(VALUE_AOV)
+        nodes = [node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputAOV" and node.aov_name == name]
+        if not nodes:
+            continue
+        said = Report()
+        graph = make_graph(tree, images, said, owner, world=world)
+        try:
+            for node in nodes:
+                graph.builder.emit(graph.value(node, "Color" if source.startswith(COLOR_AOV) else "Value"), 1.0, 1.0)
+            programs[source] = graph.builder.finish()
+        except (RegisterOverflow, RecursionError) as error:
+            said.add(ReportKind.SKIPPED, owner, f"has too many nodes for its AOV '{name}' ({error}), which is left out")
+        for entry, count in said.counts.items():
+            # What the surface has said of the same nodes is not said again.
+            report.counts.setdefault(entry, count)
+    return programs
+
+
+def extract_material(material: bpy.types.Material, images, report: Report, aovs: tuple[str, ...] = (),
+                     ) -> MaterialData:
     """Compile a material.
 
     Args:
         material: Evaluated material.
         images: ImageCollector: `key(image, image_user)` names an image and records its data.
         report: Receives what is approximated or left out.
+        aovs: Passes of shader AOVs, from passes.aov_source.
     """
     owner = f"material '{material.name}'"
     data = MaterialData(name=material.name, program=Program(), pass_index=material.pass_index)
@@ -81,6 +108,7 @@ def extract_material(material: bpy.types.Material, images, report: Report) -> Ma
         graph.builder = ProgramBuilder()
         graph.builder.closure("DIFFUSE", 1.0, color=tuple(material.diffuse_color)[:3])
         data.program = graph.builder.finish()
+    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner)
     data.has_transparency = graph.builder.has_transparency()
     data.has_emission = graph.builder.has_emission()
     data.constant_emission = graph.builder.constant_emission() if data.has_emission else None
@@ -120,12 +148,15 @@ def displacement_normal(graph: Graph, material: bpy.types.Material, output) -> V
     return build.bump(build.math("MULTIPLY", height, graph.value(node, "Scale")), 1.0, 1.0, 0.1)
 
 
-def extract_world(world: bpy.types.World | None, images, report: Report) -> WorldData:
+def extract_world(world: bpy.types.World | None, images, report: Report, aovs: tuple[str, ...] = ()) -> WorldData:
     """Compile a world; None is black. Arguments as for `extract_material`."""
     if world is None:
         return WorldData(name="", program=Program(), constant=(0.0, 0.0, 0.0), importance_resolution=RESOLUTION_SMOOTH)
     data = WorldData(name=world.name, program=Program(), importance_resolution=RESOLUTION_SMOOTH,
                      light_group=world.lightgroup)
+    mist = world.mist_settings
+    data.mist = MistData(start=mist.start, depth=mist.depth, falloff=MIST_FALLOFF.get(mist.falloff, 1.0))
+    data.occlusion_distance = world.light_settings.distance
     owner = f"world '{world.name}'"
     if world.node_tree is None:
         data.constant = tuple(world.color)
@@ -148,6 +179,7 @@ def extract_world(world: bpy.types.World | None, images, report: Report) -> Worl
         data.program = graph.builder.finish()
     if output is not None and graph.is_linked(output, "Volume"):
         report.add(ReportKind.SKIPPED, owner, "has a volume, which is not drawn")
+    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, world=True)
     data.constant = graph.builder.constant_emission()
     if graph.widths:
         data.importance_resolution = min(max(max(graph.widths), RESOLUTION_MIN), RESOLUTION_MAX)

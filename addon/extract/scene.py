@@ -23,6 +23,7 @@ from ...engine.scene import (
     SceneDelta,
     WorldData,
 )
+from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances
@@ -107,6 +108,10 @@ class SceneExtractor:
         """Return all materials of the scene as of the last extraction, changed then or not."""
         return [data for data, _ in self._materials.values()]
 
+    def mesh_keys(self) -> dict[tuple[int, int], int]:
+        """Return the meshes' keys as of the last extraction by MeshKeys' slots."""
+        return self._mesh_keys.by_slot
+
     def extract(self, depsgraph: bpy.types.Depsgraph, *, viewport: bool, report: Report,
                 progress: Progress | None = None, cancelled: Callable[[], bool] | None = None,
                 space: bpy.types.SpaceView3D | None = None) -> SceneDelta:
@@ -166,6 +171,7 @@ class SceneExtractor:
         if not changes:
             return
         callbacks.step("Reading the scene", 0.0)
+        self._aovs = _asked_aovs(depsgraph)
         images = self._begin_images(depsgraph, delta.full)
         if changes.everything or changes.instances or changes.materials or changes.images:
             self._walk_report = Report()
@@ -267,7 +273,7 @@ class SceneExtractor:
                 continue
             callbacks.step(f"Reading material '{material.name}'", number / len(gathered.materials))
             material_report = Report()
-            data = extract_material(material, images, material_report)
+            data = extract_material(material, images, material_report, self._aovs)
             self.counts.materials += 1
             if old is None or not same_fields(data, old[0]):
                 delta.materials[key] = data
@@ -283,7 +289,7 @@ class SceneExtractor:
         if not (changes.everything or changes.world or changes.images or uid != self._world_uid):
             return
         self._world_report = Report()
-        data = extract_world(world, images, self._world_report)
+        data = extract_world(world, images, self._world_report, self._aovs)
         if self._world is None or not same_fields(data, self._world):
             delta.world = data
         self._world, self._world_uid = data, uid
@@ -298,6 +304,12 @@ class SceneExtractor:
         parts += [part for _, part in self._light_factors.values()] + [part for _, part in self._materials.values()]
         for part in parts:
             report.merge(part)
+
+
+def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
+    """Return the shader AOVs that a final render's view layer asks for, by the engine's names of their passes."""
+    asked = depsgraph.view_layer_eval.aovs if depsgraph.mode == 'RENDER' else ()
+    return tuple(aov_source(aov) for aov in asked if aov.is_valid)
 
 
 def _working_space() -> str:

@@ -35,11 +35,12 @@ from ...kernels import (
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch, run_bands
+from ..report import Report, ReportKind
 from ..structures import is_flat
 from .path_light import LightFilm
 from .wavefront import Step, Wavefront
 
-__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
+__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps", "shadow_steps"]
 
 CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
@@ -99,6 +100,18 @@ class FilmBuffers:
         ):
             getattr(self.film, name).zero_()
         self.light.clear()
+
+    def oddities(self, filtered: bool) -> Report:
+        """Return a report of what the kernels counted while sampling; `filtered`: the scene has such triangles."""
+        report = Report()
+        rejected = int(wp.utils.array_sum(self.film.rejected))
+        if rejected:
+            report.add(ReportKind.ERROR, "", "samples that were not finite were left out of the picture", rejected)
+        overruns = int(wp.utils.array_sum(self.film.overruns)) if filtered else 0
+        if overruns:
+            report.add(ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there",
+                       overruns)
+        return report
 
 
 @dataclass
@@ -248,7 +261,7 @@ def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
 
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return one segment of every path: the path tracer's table of contents."""
-    shadows, shading = [scene, options, slot.rounds], [slot.frame, scene, options]
+    shading = [slot.frame, scene, options]
     steps, light = hit_steps(slot, scene, options), slot.light
     if light:
         steps[-1:-1] = light.steps_before_misses(scene, options)
@@ -263,6 +276,13 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
     if light:
         steps += light.steps_after_shading(scene, slot.rounds)
+    steps += shadow_steps(slot, scene, options)
+    return steps + light.steps_after_shadows(slot.rounds) if light else steps
+
+
+def shadow_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
+    """Return what traces the paths' shadow rays and adds their light."""
+    shadows, steps = [scene, options, slot.rounds], []
     if is_flat(scene):
         steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills=("layered_shadows",)))
     else:
@@ -275,4 +295,4 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps.append(Step(weaken, shadows, over="layered_shadows"))
     if options.programs == 1:
         steps.append(Step(shadow_lights.shade_lights, shadows))
-    return steps + (light.steps_after_shadows(slot.rounds) if light else [])
+    return steps

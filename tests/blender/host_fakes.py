@@ -10,6 +10,7 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+from burnish.engine.pass_names import first_hit_channels
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import Change, Integrator
@@ -28,6 +29,7 @@ class FakeSession:
     device_name = "fake"
     timed = False
     skipped: dict = {}
+    first_hits = SimpleNamespace(manifests={})
 
     @property
     def frame_times(self):
@@ -91,11 +93,12 @@ class FakeSession:
         _, _, width, height, crop, passes = self._config
         assert name in passes, (name, passes)
         x, y, w, h = crop or (0, 0, width, height)
-        pixels = np.zeros((h, w, CHANNELS.get(name, 3)), np.float32)
+        channels = first_hit_channels(name) or CHANNELS.get(name, 3)
+        pixels = np.zeros((h, w, channels), np.float32)
         pixels[..., 0] = np.arange(x, x + w, dtype=np.float32)
-        if CHANNELS.get(name, 3) > 1:
+        if channels > 1:
             pixels[..., 1] = np.arange(y, y + h, dtype=np.float32)[:, None]
-        if CHANNELS.get(name, 3) == 4:
+        if channels == 4:
             pixels[..., 3] = 1.0
         return pixels
 

@@ -92,8 +92,13 @@ def test_passes_are_written(run_host, tmp_path):
     target = tmp_path / "passes.exr"
     run_host(f"""
 layer = scene.view_layers[0]
-for name in ("z", "position", "normal", "uv", "object_index", "material_index", "emit", "environment"):
+for name in ("z", "position", "normal", "uv", "object_index", "material_index", "emit", "environment", "mist",
+             "ambient_occlusion", "cryptomatte_object", "cryptomatte_asset"):
     setattr(layer, f"use_pass_{{name}}", True)
+layer.pass_cryptomatte_depth = 2
+for name, kind in (("heat", 'COLOR'), ("weight", 'VALUE')):
+    aov = layer.aovs.add()
+    aov.name, aov.type = name, kind
 settings = render.image_settings
 settings.media_type = 'MULTI_LAYER_IMAGE'
 settings.file_format, settings.color_depth = 'OPEN_EXR_MULTILAYER', '32'
@@ -101,16 +106,31 @@ render.filepath = {str(target)!r}
 bpy.ops.render.render(write_still=True)
 names = set(pictures[0][2])
 assert names == {{"Combined", "Depth", "Position", "Normal", "UV", "Object Index", "Material Index", "Emission",
-                 "Environment"}}, names
+                 "Environment", "Mist", "Ambient Occlusion", "CryptoObject00", "CryptoAsset00", "heat",
+                 "weight"}}, names
 layer.use_pass_z = False
 bpy.ops.render.render()
 assert "Depth" not in pictures[1][2]
 """)
     names, ramp = read_parts(target)
     for expected in ("Combined.R", "Depth.Z", "Position.X", "Normal.X", "UV.U", "Object Index.X", "Material Index.X",
-                     "Emission.R", "Environment.R"):
+                     "Emission.R", "Environment.R", "Mist.Z", "Ambient Occlusion.R", "CryptoObject00.r",
+                     "CryptoAsset00.a", "heat.A", "weight.X"):
         assert f"ViewLayer.{expected}" in names, (expected, names)
     assert ramp == list(range(32))
+
+
+def test_passes_that_are_not_there_are_named(run_host):
+    """Name each pass once that a view layer asks for and no integrator has."""
+    run_host("""
+from burnish.addon import report
+layer = scene.view_layers[0]
+layer.use_pass_shadow = layer.use_pass_subsurface_color = layer.use_pass_mist = True
+bpy.ops.render.render()
+said = sorted(entry.message for entry in report.published("Render").entries() if "is left out" in entry.message)
+assert said == [f"the pass {name} is left out; this version does not have it"
+                for name in ("Shadow", "Subsurface Color")], said
+""")
 
 
 def test_integrators_have_different_passes(run_host):

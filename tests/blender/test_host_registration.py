@@ -125,6 +125,7 @@ class Layout:
         assert items in source.bl_rna.properties, (source, items)
         self.prop(data, name)
     def template_list(self, kind, identifier, data, name, active_data, active_name, **options):
+        assert hasattr(bpy.types, kind)
         self.prop(data, name)
         self.prop(active_data, active_name)
     def menu(self, name, **options): assert hasattr(bpy.types, name), name
@@ -159,7 +160,8 @@ for light, integrator in zip(lamps, ('REFERENCE', 'REALTIME') * 2):
             if hasattr(panel, "draw_header"):
                 panel.draw_header(instance, context)
 both = {"integrator", "samples", "energy", "use_pass_emit", "visible_shadow", "max_bounces", "lightgroup",
-        "use_pass_diffuse_color", "use_pass_glossy_direct", "use_pass_transmission_indirect"}
+        "use_pass_diffuse_color", "use_pass_glossy_direct", "use_pass_transmission_indirect", "use_pass_mist", "aovs",
+        "use_pass_cryptomatte_asset"}
 assert both | {"spot_size", "lightgroups"} <= drawn_by['REFERENCE'], drawn_by
 from burnish.engine.settings import (
     CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings, setting_info)
