@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,11 @@ from .geometry_store import GeometryStore
 from .lamps import lamp_array, lamp_power
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
+from .opacity_maps import OpacityMaps
 from .report import Report
-from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Visibility, WorldData
+from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
 from .settings import PerformanceSettings
-from .structures import InstancePlan, Structures
+from .structures import RAY_KINDS, InstancePlan, Structures
 from .tables import albedo_tables
 from .textures import TextureStore
 
@@ -42,10 +44,6 @@ class SceneChanges:
     """Lamps, the world, materials or what emits have changed"""
 
 
-# Kinds of rays whose visibility a triangle structure must answer.
-RAY_KINDS = int(
-    Visibility.CAMERA | Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION | Visibility.SHADOW)
-
 # Share of the meshes' buffers that may lie idle before everything is built anew.
 WASTE_LIMIT = 0.5
 
@@ -60,6 +58,7 @@ class DeviceScene:
         self.store = GeometryStore(device)
         self.structures = Structures(device)
         self.textures = TextureStore(device)
+        self.opacity_maps = OpacityMaps(device)
         self.material_table = MaterialTable(device)
         self.materials: dict[Key, MaterialData] = {}
         self.table: InstanceTable | None = None
@@ -140,6 +139,7 @@ class DeviceScene:
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
             # Always: _plan_instances has filled the rows anew, without the structures' ids.
             self._upload_instances()
+            self.opacity_maps.update(self, self._assemble, settings.opacity_maps, bool(delta.images))
         emission_moved = rebuild or self._any_emits(moved, changed_meshes)
         tell("Lights", 0.9)
         with self._timed("lights"):
@@ -159,6 +159,12 @@ class DeviceScene:
             replaced=delta.full, moved=geometry_changed or delta.instances is not None,
             lit=materials_changed or delta.lights is not None or (emission_moved and len(self.emitters.power) > 0))
         tell("Ready", 1.0)
+
+    def use_opacity_maps(self, enabled: bool) -> None:
+        """Make the opacity maps or take them away where nothing else changes."""
+        if self.plan is not None:
+            self.opacity_maps.update(self, self._assemble, enabled, False)
+            self._assemble()
 
     def _any_emits(self, moved: np.ndarray, changed_meshes: set[Key]) -> bool:
         """Return whether any of the instances that moved or whose mesh changed may emit light."""
@@ -182,18 +188,11 @@ class DeviceScene:
         self.lights = []
         self.report = Report()
 
-    class _Timer:
-        def __init__(self, times: dict[str, float], name: str):
-            self.times, self.name = times, name
-
-        def __enter__(self) -> None:
-            self.start = time.perf_counter()
-
-        def __exit__(self, *_: object) -> None:
-            self.times[self.name] = self.times.get(self.name, 0.0) + time.perf_counter() - self.start
-
-    def _timed(self, name: str) -> DeviceScene._Timer:
-        return self._Timer(self.times, name)
+    @contextlib.contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.times[name] = self.times.get(name, 0.0) + time.perf_counter() - start
 
     # -- materials ----------------------------------------------------------------------------------------------
 

@@ -161,6 +161,8 @@ class Session:
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
         change = change_since(settings, self.settings)
+        if settings.performance.opacity_maps != self.settings.performance.opacity_maps:
+            self._scene.use_opacity_maps(settings.performance.opacity_maps)
         traced = settings.sampling.integrator == Integrator.REFERENCE
         light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
         extra = any(name in PASSES and name not in ("Combined", *light) for name in passes)
@@ -266,8 +268,7 @@ class Session:
 
     def close(self) -> None:
         """Give the device's memory back."""
-        self._film = None
-        self._realtime = None
+        self._film = self._realtime = None
         self.denoiser = FinalDenoise(self.device)
         self.first_hits = FirstHits(self.device)
         self._kept_options = {}

@@ -177,6 +177,9 @@ class PerformanceSettings:
     instancing_threshold: float = setting(
         4.0, "Flatten all instances into one structure while that multiplies the unique triangles by less than this",
         low=1.0, high=1e6, soft_high=64.0)
+    opacity_maps: bool = setting(
+        True, "Note where leaves and grilles cut out by an image are clear or solid, so that rays need not ask their "
+        "materials: faster, for some memory. Off: ask at every hit")
     deterministic: bool = setting(
         False, "Deal the cache's cells by their keys on CUDA, where threads otherwise race for them, so that a full "
         "cache does not differ from run to run: costs half a millisecond a frame. On the processor nothing races")
@@ -384,7 +387,7 @@ def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
     realtime = ("probes", "cache", "direct_light", "reflections", "denoiser")
     if any(getattr(new, name) != getattr(old, name) for name in realtime):
         change |= Change.RESTART
-    performance = ("texture_budget", "texture_size_limit", "deterministic")
+    performance = ("texture_budget", "texture_size_limit", "opacity_maps", "deterministic")
     if any(getattr(new.performance, name) != getattr(old.performance, name) for name in performance):
         change |= Change.RESTART
     return change

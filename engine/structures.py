@@ -17,13 +17,17 @@ import warp as wp
 from ..kernels.flatten import flatten_vertices
 from ..kernels.types import FlatTriangles, Geometry, Scene
 from .geometry_store import GeometryStore, MeshRange
-from .scene import Key
+from .scene import Key, Visibility
 from .wide_bvh import WideBvh, build_wide
 
-__all__ = ["InstancePlan", "Structures", "is_flat"]
+__all__ = ["RAY_KINDS", "FlatStructure", "InstancePlan", "Structures", "is_flat"]
 
 # Below this many flattened triangles two levels are not worth their slower rays.
 ALWAYS_FLATTEN = 1 << 20
+
+# Kinds of rays whose visibility a triangle structure must answer.
+RAY_KINDS = int(
+    Visibility.CAMERA | Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION | Visibility.SHADOW)
 
 
 def is_flat(scene: Scene) -> bool:

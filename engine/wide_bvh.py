@@ -17,7 +17,7 @@ from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
 from .work_list import make_queue
 
-__all__ = ["WideBvh", "build_wide"]
+__all__ = ["WideBvh", "build_wide", "launch_bands"]
 
 RADIUS = 16
 """Places along the curve to each side among which a cluster looks for its neighbor"""
@@ -55,9 +55,11 @@ class WideBvh:
     nodes: wp.array
     """uint32 [20 * nodes], level by level"""
     triangles: wp.array
-    """uint32 [12 * N], by reference"""
+    """uint32 [12 * N], by reference, then the opacity maps (opacity_maps.py)"""
     levels: list[tuple[int, int]]
     """First node and count of each"""
+    references: int
+    """N"""
     split: bool
     """Whether some triangles have more than one reference"""
 
@@ -69,7 +71,7 @@ class WideBvh:
             leaving: int, 1 for every instance that leaves.
         """
         device = self.nodes.device.alias
-        launch(mark_gone, len(self.triangles) // TRIANGLE_WORDS, [faces, leaving], [self.triangles], device)
+        launch(mark_gone, self.references, [faces, leaving], [self.triangles], device)
         lower, upper = (wp.empty(len(self.nodes) // NODE_WORDS, dtype=wp.vec3, device=device) for _ in range(2))
         for first, count in reversed(self.levels):
             launch(refit_nodes, count, [first, self.triangles, int(self.split)], [self.nodes, lower, upper], device)
@@ -129,7 +131,7 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
             break
     triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
     launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [triangles], device)
-    return WideBvh(nodes, triangles, levels, parts is not whole)
+    return WideBvh(nodes, triangles, levels, len(items), parts is not whole)
 
 
 def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:
@@ -179,7 +181,7 @@ def _split(points: wp.array, indices: wp.array, whole: _References) -> _Referenc
     return made if made.area <= SPLIT_AREA * area else None
 
 
-def _launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
+def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
     """Launch a kernel over elements from `first` on, on the CPU in bands on all cores."""
     device = outputs[0].device
     size = max(count // thread_count() + 1, BAND) if device.is_cpu else count
@@ -208,7 +210,7 @@ def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: 
     neighbor, following, kept, merged = (wp.empty(count, dtype=int, device=device) for _ in range(4))
     batches, first, reach, slow = [(0, count)], count, radius, 0
     while count > 1:
-        _launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, lower, upper], [neighbor])
+        launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, lower, upper], [neighbor])
         launch(cluster_tree.mark_merged, count, [neighbor], [kept, merged], device)
         wp.utils.array_scan(kept[:count], kept[:count])
         wp.utils.array_scan(merged[:count], merged[:count])
@@ -230,7 +232,7 @@ def _collapse(tree: _Binary, count: int) -> tuple[wp.array, wp.array, list[tuple
     choice = wp.zeros(9 * total, dtype=wp.uint8, device=device)
     counts = wp.empty(total, dtype=int, device=device)
     for first, size in tree.batches:
-        _launch_bands(kernels.plan_nodes, first, size, [children, lower, upper], [cost, choice, counts])
+        launch_bands(kernels.plan_nodes, first, size, [children, lower, upper], [cost, choice, counts])
 
     # Every wide node but the root takes the place of a binary one that isn't a leaf.
     words = wp.zeros(NODE_WORDS * count, dtype=wp.uint32, device=device)

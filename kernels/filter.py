@@ -2,7 +2,8 @@
 """Triangles that need a test per hit: transparency and visibility by kind of ray, layer by layer.
 
 Queries for rays have neither a lower limit nor a filter, so these triangles lie in structures of their own and
-are queried again from each hit, moved on by its error bound. At most MAX_LAYERS layers are looked through.
+are queried again from each hit, moved on by its error bound. At most MAX_LAYERS layers are looked through. Of
+triangles with opacity maps (opacity_maps.py) queries pass over what is clear and say what is solid.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import max_component
-from .intersect import MISS, Hit, closest_filtered_hit, may_emit, surface_point
+from .intersect import MISS, Hit, closest_layer, may_emit, shadow_layer, surface_point
 from .nodes import evaluate_transparency
 from .sampling import sample_number
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
@@ -97,10 +98,14 @@ def accept_hit(
         start = step_past(point, direction, hit.t)
         if start >= opaque.t:
             return result
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, opaque.t - start)
-        if hit.instance == MISS:
+        further = closest_layer(scene.geometry, origin + direction * start, direction, opaque.t - start)
+        if further.hit.instance == MISS:
             return result
+        hit = further.hit
         hit.t = hit.t + start
+        if further.solid == 1:
+            result.hit = hit
+            return result
     result.overrun = 1
     return result
 
@@ -124,10 +129,14 @@ def transmittance(
         if start >= distance:
             result.weight = product
             return result
-        hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, distance - start)
-        if hit.instance == MISS:
+        further = shadow_layer(scene.geometry, origin + direction * start, direction, distance - start)
+        if further.solid == 1:
+            result.weight = wp.vec3(0.0, 0.0, 0.0)
+            return result
+        if further.hit.instance == MISS:
             result.weight = product
             return result
+        hit = further.hit
         hit.t = hit.t + start
     result.weight = wp.vec3(0.0, 0.0, 0.0)
     result.overrun = 1

@@ -11,7 +11,7 @@ import warp as wp
 
 from .filter import MAX_LAYERS, layer_point, pass_chance, step_past
 from .geometry_math import max_component
-from .intersect import MISS, Hit, closest_filtered_hit
+from .intersect import MISS, Hit, Layer, closest_layer, shadow_layer
 from .node_lean import run_lean_transparency
 from .sampling import sample_number
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
@@ -61,22 +61,18 @@ def start_walk(first: Hit) -> LayerWalk:
 
 
 @wp.func
-def walk_on(
-    scene: Scene, walk: LayerWalk, point: ShadingPoint, origin: wp.vec3, direction: wp.vec3, t_max: float,
-) -> LayerWalk:
-    """Return a ray that a layer has let through at its next layer before t_max, if there is one."""
+def come_to(walk: LayerWalk, layer: Layer, start: float) -> LayerWalk:
+    """Return a ray that a layer has let through at its next layer, found from `start` on, if there is one."""
     out = walk
     out.state = WALK_PASSED
     out.layers = walk.layers + 1
-    start = step_past(point, direction, walk.hit.t)
-    if start >= t_max:
-        return out
-    hit = closest_filtered_hit(scene.geometry, origin + direction * start, direction, t_max - start)
-    if hit.instance == MISS:
-        return out
-    hit.t = hit.t + start
-    out.hit = hit
-    out.state = wp.where(out.layers < MAX_LAYERS, WALK_ON, WALK_OVERRUN)
+    if layer.hit.instance != MISS:
+        hit = layer.hit
+        hit.t = hit.t + start
+        out.hit = hit
+        out.state = wp.where(out.layers < MAX_LAYERS, WALK_ON, WALK_OVERRUN)
+        if layer.solid == 1:
+            out.state = WALK_STOPPED
     return out
 
 
@@ -95,7 +91,12 @@ def accept_layer(
         out.state = WALK_STOPPED
         return out
     out.weight = wp.cw_mul(walk.weight, transparency / chance)
-    return walk_on(scene, out, point, origin, direction, t_max)
+    start = step_past(point, direction, walk.hit.t)
+    if start >= t_max:
+        out.state = WALK_PASSED
+        return out
+    return come_to(
+        out, closest_layer(scene.geometry, origin + direction * start, direction, t_max - start), start)
 
 
 @wp.func
@@ -111,7 +112,12 @@ def pass_layer(
     if max_component(out.weight) <= 0.0:
         out.state = WALK_STOPPED
         return out
-    out = walk_on(scene, out, point, origin, direction, distance)
-    if out.state == WALK_OVERRUN:
+    start = step_past(point, direction, walk.hit.t)
+    if start >= distance:
+        out.state = WALK_PASSED
+        return out
+    out = come_to(
+        out, shadow_layer(scene.geometry, origin + direction * start, direction, distance - start), start)
+    if out.state == WALK_OVERRUN or out.state == WALK_STOPPED:
         out.weight = wp.vec3(0.0, 0.0, 0.0)
     return out

@@ -13,7 +13,7 @@ import warp as wp
 from .camera import CameraRay, camera_ray, filter_offset
 from .filter import MAX_LAYERS, layer_point, step_past
 from .geometry_math import max_component, mean_component
-from .intersect import MISS, Hit, closest_filtered_hit, closest_hit
+from .intersect import MISS, Hit, closest_hit, closest_layer
 from .motion import Motion, previous_point
 from .nodes import run, world_point
 from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
@@ -214,7 +214,11 @@ def look(
     layer = Hit()
     layer.instance = MISS
     if options.filtered == 1:
-        layer = closest_filtered_hit(scene.geometry, ray.origin, ray.direction, opaque.t)
+        found_layer = closest_layer(scene.geometry, ray.origin, ray.direction, opaque.t)
+        if found_layer.solid == 1:
+            opaque = found_layer.hit
+        else:
+            layer = found_layer.hit
     throughput = wp.vec3(1.0, 1.0, 1.0)
     layers = int(0)
     reading = int(values.count)
@@ -270,9 +274,13 @@ def look(
             layer = Hit()
             layer.instance = MISS
             if beyond < opaque.t:
-                layer = closest_filtered_hit(
+                further = closest_layer(
                     scene.geometry, ray.origin + ray.direction * beyond, ray.direction, opaque.t - beyond)
-                layer.t = layer.t + beyond
+                further.hit.t = further.hit.t + beyond
+                if further.solid == 1:
+                    opaque = further.hit
+                else:
+                    layer = further.hit
 
 
 @wp.kernel

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .flat_tracing import any_flat, closest_flat, closest_flat_layer
+from .flat_tracing import any_flat, closest_flat, closest_flat_layer, shadow_flat_layer
 from .intersect import MISS
-from .paths import ENDED, Options, Paths, store_hit, store_layer
+from .paths import ENDED, Options, Paths, store_hit, take_layer
 from .tracing import finish_shadow, meet_shadow_layer
 from .types import Scene
 
@@ -46,8 +46,8 @@ def trace_flat_paths(
                 # Read anew: registers are scarcer than loads.
                 layer = closest_flat_layer(
                     scene.geometry, paths_out.origin[path], paths_out.direction[path], paths_out.t[path])
-                store_layer(paths_out, path, layer)
-                if layer.instance != MISS:
+                take_layer(paths_out, path, layer)
+                if layer.hit.instance != MISS and layer.solid == 0:
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
@@ -80,8 +80,8 @@ def trace_flat_path_shadows(
                 scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
         finish_shadow(options, bounces, paths_out, path, distance, blocked)
         if options.filtered == 1 and distance != 0.0 and not blocked:
-            layer = closest_flat_layer(
+            layer = shadow_flat_layer(
                 scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance)
             meet_shadow_layer(options, bounces, paths_out, path, layer)
-            if layer.instance != MISS:
+            if layer.hit.instance != MISS and layer.solid == 0:
                 queue_out[wp.atomic_add(count_out, 0, 1)] = path

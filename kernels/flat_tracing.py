@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from .gbuffer_rays import PrimaryHits, primary_ray
-from .intersect import MISS, Hit, any_static, closest_static
-from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
+from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
+from .intersect import MISS, Hit, Layer, any_static, closest_static, static_layer, static_shadow_layer
+from .paths import ENDED, PENDING_NONE, Options, Paths, load_hit, store_hit, take_layer
 from .pixel_order import pixel_in_blocks
+from .tracing import meet_shadow_layer
 from .types import Geometry, Scene
 from .view import View
 
@@ -36,9 +37,15 @@ def closest_flat(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max:
 
 
 @wp.func
-def closest_flat_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
-    """Return intersect.closest_filtered_hit."""
-    return closest_static(geometry.flat_filtered, origin, direction, no_hit(t_max))
+def closest_flat_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return intersect.closest_layer."""
+    return static_layer(geometry.flat_filtered, origin, direction, t_max)
+
+
+@wp.func
+def shadow_flat_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return intersect.shadow_layer."""
+    return static_shadow_layer(geometry.flat_filtered, origin, direction, t_max)
 
 
 @wp.func
@@ -85,11 +92,8 @@ def trace_flat_primary_layers(
     if pixel < 0:
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    hit = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
-    hits_out.layer_t[pixel] = hit.t
-    hits_out.layer[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.layer_barycentrics[pixel] = wp.vec2(hit.u, hit.v)
-    hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+    store_primary_layer(hits_out, pixel, closest_flat_layer(
+        scene.geometry, ray.origin, ray.direction, hits_out.t[pixel]))
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -130,7 +134,7 @@ def trace_flat_further(
                 scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
             if filtered == 1:
                 # Read anew: registers are scarcer than loads.
-                store_layer(paths_out, slot, closest_flat_layer(
+                take_layer(paths_out, slot, closest_flat_layer(
                     scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
         i = i + stride
 
@@ -148,7 +152,7 @@ def trace_flat_layers(
     slot = offset + first + wp.tid()
     if paths_out.state[slot] == ENDED:
         return
-    store_layer(paths_out, slot, closest_flat_layer(
+    take_layer(paths_out, slot, closest_flat_layer(
         scene.geometry, paths_out.origin[slot], paths_out.direction[slot], load_hit(paths_out, slot).t))
 
 
@@ -207,8 +211,5 @@ def trace_flat_shadow_layers(
     distance = paths_out.shadow_distance[slot]
     if distance == 0.0:
         return
-    hit = closest_flat_layer(
-        scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
-    store_layer(paths_out, slot, hit)
-    if hit.instance == MISS and paths_out.shadow_pending[slot] == PENDING_NONE:
-        add_shadow_light(paths_out, options, bounces[0], slot, paths_out.shadow_light[slot])
+    meet_shadow_layer(options, bounces, paths_out, slot, shadow_flat_layer(
+        scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance))

@@ -11,7 +11,7 @@ import warp as wp
 from .camera import CameraRay, camera_ray
 from .gbuffer import SURFACE_EMITS, GBuffer
 from .geometry_math import is_finite3
-from .intersect import MISS, closest_filtered_hit, closest_hit
+from .intersect import MISS, Layer, closest_hit, closest_layer
 from .lamp_hit import FAR
 from .packing import from_half, rgba, to_half
 from .reflection_lights import lamps_along
@@ -46,6 +46,22 @@ def primary_ray(view: View, x: int, y: int) -> CameraRay:
     return camera_ray(frame, film_position(view, x, y), wp.vec2(0.0, 0.0))
 
 
+@wp.func
+def store_primary_layer(hits: PrimaryHits, pixel: int, layer: Layer):
+    """Store the first triangle that needs a test; one that is known to be solid is what the pixel shows."""
+    ids = wp.vec2i(layer.hit.instance, layer.hit.triangle)
+    weights = wp.vec2(layer.hit.u, layer.hit.v)
+    if layer.solid == 1:
+        hits.t[pixel] = layer.hit.t
+        hits.hit[pixel] = ids
+        hits.barycentrics[pixel] = weights
+        ids = wp.vec2i(MISS, 0)
+    hits.layer_t[pixel] = layer.hit.t
+    hits.layer[pixel] = ids
+    hits.layer_barycentrics[pixel] = weights
+    hits.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+
+
 @wp.kernel
 def trace_primary(
     # In:
@@ -78,11 +94,8 @@ def trace_primary_layers(
     """Find the first triangle in front of each opaque hit that needs a test."""
     pixel = first + wp.tid()
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    hit = closest_filtered_hit(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
-    hits_out.layer_t[pixel] = hit.t
-    hits_out.layer[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.layer_barycentrics[pixel] = wp.vec2(hit.u, hit.v)
-    hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+    store_primary_layer(hits_out, pixel, closest_layer(
+        scene.geometry, ray.origin, ray.direction, hits_out.t[pixel]))
 
 
 @wp.kernel

@@ -16,7 +16,7 @@ import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
 from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, Scene, ShadingPoint
-from .wide_bvh import any_wide, closest_wide
+from .wide_bvh import any_wide, closest_layer_wide, closest_wide, shadow_layer_wide
 from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
 
 # Nothing was hit.
@@ -42,6 +42,15 @@ class Hit:
     """Weights of the second and third vertex"""
 
 
+@wp.struct
+class Layer:
+    """Closest hit of a ray among the triangles that need a test."""
+
+    hit: Hit
+    solid: int
+    """1: its opacity map says that it is opaque there, so that nothing is left to test"""
+
+
 @wp.func
 def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
     """Shorten `hit` by the flattened triangles of one structure."""
@@ -58,6 +67,41 @@ def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit
             result.u = found[2]
             result.v = 1.0 - found[1] - found[2]
     return result
+
+
+@wp.func
+def found_layer(flat: FlatTriangles, found: wp.vec4) -> Layer:
+    """Return what a query for layers has found; see wide_bvh.closest_layer_wide."""
+    layer = Layer()
+    layer.hit.t = found[0]
+    layer.hit.instance = MISS
+    key = wp.cast(found[3], int)
+    if key >= 0:
+        face = flat.faces[key >> 1]
+        layer.hit.instance = face[0]
+        layer.hit.triangle = face[1]
+        layer.hit.u = found[2]
+        layer.hit.v = 1.0 - found[1] - found[2]
+        layer.solid = key & 1
+    return layer
+
+
+@wp.func
+def static_layer(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return the closest hit of flattened triangles before t_max, but for those whose opacity maps are clear there."""
+    found = wp.vec4(t_max, 0.0, 0.0, wp.cast(MISS, float))
+    if flat.nodes.shape[0] > 0:
+        found = closest_layer_wide(flat.nodes, flat.triangles, origin, direction, t_max)
+    return found_layer(flat, found)
+
+
+@wp.func
+def static_shadow_layer(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return the same for shadow rays: a solid hit if one is met on the way to the closest."""
+    found = wp.vec4(t_max, 0.0, 0.0, wp.cast(MISS, float))
+    if flat.nodes.shape[0] > 0:
+        found = shadow_layer_wide(flat.nodes, flat.triangles, origin, direction, t_max)
+    return found_layer(flat, found)
 
 
 @wp.func
@@ -109,13 +153,29 @@ def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: 
 
 
 @wp.func
-def closest_filtered_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
-    """Return the closest hit before t_max among the triangles that need a test."""
-    hit = Hit()
-    hit.t = t_max
-    hit.instance = MISS
-    hit = closest_static(geometry.flat_filtered, origin, direction, hit)
-    return closest_instanced(geometry, 1, origin, direction, hit)
+def closer_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, flat: Layer) -> Layer:
+    """Return an instance's triangle that needs a test where it is closer than the flattened one; it has no map."""
+    layer = flat
+    layer.hit = closest_instanced(geometry, 1, origin, direction, flat.hit)
+    if layer.hit.t < flat.hit.t:
+        layer.solid = 0
+    return layer
+
+
+@wp.func
+def closest_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return the closest hit before t_max among the triangles that need a test, without what is known to be clear."""
+    return closer_layer(
+        geometry, origin, direction, static_layer(geometry.flat_filtered, origin, direction, t_max))
+
+
+@wp.func
+def shadow_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Layer:
+    """Return the same for shadow rays: a solid hit if one is met on the way to the closest."""
+    layer = static_shadow_layer(geometry.flat_filtered, origin, direction, t_max)
+    if layer.solid == 1:
+        return layer
+    return closer_layer(geometry, origin, direction, layer)
 
 
 @wp.func

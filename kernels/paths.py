@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3, max_component
-from .intersect import MISS, Hit, surface_point
+from .intersect import MISS, Hit, Layer, surface_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_ROULETTE, DIMENSIONS_PER_BOUNCE, sample_number
 from .shading_types import Closure, ShadingPoint
 from .types import Scene
@@ -175,6 +175,16 @@ def store_layer(paths: Paths, path: int, hit: Hit):
     paths.layer_t[path] = hit.t
     paths.layer[path] = wp.vec2i(hit.instance, hit.triangle)
     paths.layer_barycentrics[path] = wp.vec2(hit.u, hit.v)
+
+
+@wp.func
+def take_layer(paths: Paths, path: int, layer: Layer):
+    """Store the first triangle on the way that needs a test; one that is known to be solid is the path's hit."""
+    if layer.solid == 1:
+        store_hit(paths, path, layer.hit)
+        paths.layer[path] = wp.vec2i(MISS, 0)
+    else:
+        store_layer(paths, path, layer.hit)
 
 
 @wp.func

@@ -11,9 +11,9 @@ import warp as wp
 
 from .cache_rays import Vertices
 from .environment_split import EnvironmentSplit
-from .intersect import closest_filtered_hit, closest_hit
+from .intersect import closest_hit, closest_layer
 from .layers_lean import filter_path
-from .paths import ENDED, Paths, load_hit, store_hit, store_layer
+from .paths import ENDED, Paths, load_hit, store_hit, take_layer
 from .reflection_lamps import add_lamps
 from .reflection_lean import follow_one
 from .reflection_rays import LEFT, ReflectionRays
@@ -28,7 +28,7 @@ def trace_segment(scene: Scene, reflection: int, filtered: int, paths: Paths, ve
     store_hit(paths, slot, closest_hit(
         scene.geometry, paths.origin[slot], paths.direction[slot], paths.t[slot]))
     if filtered == 1:
-        store_layer(paths, slot, closest_filtered_hit(
+        take_layer(paths, slot, closest_layer(
             scene.geometry, paths.origin[slot], paths.direction[slot], load_hit(paths, slot).t))
         filter_path(scene, paths, slot)
     if scene.lights.lamp_count > 0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intersect import closest_filtered_hit, closest_hit
-from .paths import ENDED, Paths, store_hit, store_layer
+from .intersect import closest_hit, closest_layer
+from .paths import ENDED, Paths, store_hit, take_layer
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -36,5 +36,5 @@ def trace_further(
             hit = closest_hit(scene.geometry, origin, direction, paths_out.t[slot])
             store_hit(paths_out, slot, hit)
             if filtered == 1:
-                store_layer(paths_out, slot, closest_filtered_hit(scene.geometry, origin, direction, hit.t))
+                take_layer(paths_out, slot, closest_layer(scene.geometry, origin, direction, hit.t))
         i = i + stride

@@ -9,8 +9,18 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import camera_ray, filter_offset
-from .intersect import MISS, Hit, any_hit, closest_filtered_hit, closest_hit
-from .paths import ENDED, PENDING_NONE, Options, Paths, add_shadow_light, load_hit, store_hit, store_layer
+from .intersect import MISS, Layer, any_hit, closest_hit, closest_layer, shadow_layer
+from .paths import (
+    ENDED,
+    PENDING_NONE,
+    Options,
+    Paths,
+    add_shadow_light,
+    load_hit,
+    store_hit,
+    store_layer,
+    take_layer,
+)
 from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
 from .types import VISIBLE_CAMERA, FrameData, Scene
 
@@ -34,10 +44,12 @@ def finish_shadow(
 
 
 @wp.func
-def meet_shadow_layer(options: Options, bounces: wp.array[int], paths: Paths, path: int, hit: Hit):
-    """Keep the first triangle that needs a test on a shadow ray; add the light where there is none."""
-    store_layer(paths, path, hit)
-    if hit.instance == MISS and paths.shadow_pending[path] == PENDING_NONE:
+def meet_shadow_layer(options: Options, bounces: wp.array[int], paths: Paths, path: int, layer: Layer):
+    """Keep the first triangle that needs a test on a shadow ray; end the ray at a solid one, add the light at none."""
+    store_layer(paths, path, layer.hit)
+    if layer.solid == 1:
+        paths.shadow_distance[path] = 0.0
+    elif layer.hit.instance == MISS and paths.shadow_pending[path] == PENDING_NONE:
         add_shadow_light(paths, options, bounces[0], path, paths.shadow_light[path])
 
 
@@ -113,7 +125,7 @@ def trace_layers(
     while i < count[0]:
         path = queue[i]
         if paths_out.state[path] != ENDED:
-            store_layer(paths_out, path, closest_filtered_hit(
+            take_layer(paths_out, path, closest_layer(
                 scene.geometry, paths_out.origin[path], paths_out.direction[path], load_hit(paths_out, path).t))
         i = i + stride
 
@@ -165,5 +177,5 @@ def trace_shadow_layers(
         i = i + stride
         distance = paths_out.shadow_distance[path]
         if distance != 0.0:
-            meet_shadow_layer(options, bounces, paths_out, path, closest_filtered_hit(
+            meet_shadow_layer(options, bounces, paths_out, path, shadow_layer(
                 scene.geometry, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance))

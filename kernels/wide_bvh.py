@@ -18,8 +18,19 @@ A node is 20 words, read as five times four:
            below them the first of them counted from word 5
     8..19  bytes per slot: low x, low y, low z, high x, high y, high z in quanta
 
-A triangle is 12 words: its three vertices, each with a fourth word, the first of which is the face. The code is
-native, since Warp loads arrays of vectors component by component: five loads a node instead of twenty.
+A triangle is 12 words: its three vertices, each with a fourth word, the first of which is the face. Several may be
+references to one face: it is tested more than once then, and hit in one place. The other two words of opaque triangles
+are for triangle_split.part_box. Of triangles for the queries for layers, which alone read them here, they tell of the
+opacity micromap (Gruen, Benthin and Woop, "Sub-triangle opacity masks for faster ray tracing of transparent objects",
+2020) that opacity_maps.py makes:
+
+    7      the top two bits: an OPACITY_* of the whole triangle; below them the level of OPACITY_MIXED
+    11     of OPACITY_MIXED: the word, counted from the first triangle's, where the map lies, behind all triangles
+
+The map of level k has an OPACITY_* of two bits for each of the 4^k triangles that k halvings of all edges leave, in the
+order of their numbers in base 4, a digit a halving: 0 to 2 at the triangle's vertices, 3 in the middle.
+
+The code is native, since Warp loads arrays of vectors component by component: five loads a node instead of twenty.
 """
 
 from __future__ import annotations
@@ -36,6 +47,12 @@ MAX_DEPTH = 32
 # Entries for leaves that wait.
 WAITING = 16
 
+# What is known of a triangle's opacity: a test per hit decides; rays pass; it stops them; its map says.
+OPACITY_UNKNOWN = wp.constant(0)
+OPACITY_CLEAR = wp.constant(1)
+OPACITY_SOLID = wp.constant(2)
+OPACITY_MIXED = wp.constant(3)
+
 _TRAVERSE = """
     // Loads of four words, bit patterns, bit counting.
 #ifdef __CUDA_ARCH__
@@ -43,6 +60,7 @@ _TRAVERSE = """
     auto load = [](const wp::uint32* words, unsigned int row) -> Row {
         return __ldg(reinterpret_cast<const uint4*>(words) + row);
     };
+    auto load_word = [](const wp::uint32* words, unsigned int word) -> unsigned int { return __ldg(words + word); };
     auto as_float = [](unsigned int bits) -> float { return __uint_as_float(bits); };
     auto highest_bit = [](unsigned int bits) -> int { return 31 - __clz((int)bits); };
     auto bit_count = [](unsigned int bits) -> int { return __popc((int)bits); };
@@ -54,6 +72,7 @@ _TRAVERSE = """
         const wp::uint32* p = words + 4 * (size_t)row;
         return Row{p[0], p[1], p[2], p[3]};
     };
+    auto load_word = [](const wp::uint32* words, unsigned int word) -> unsigned int { return words[word]; };
     auto as_float = [](unsigned int bits) -> float { union { unsigned int u; float f; } c; c.u = bits; return c.f; };
     auto highest_bit = [](unsigned int bits) -> int { return 31 - __builtin_clz(bits); };
     auto bit_count = [](unsigned int bits) -> int { return __builtin_popcount(bits); };
@@ -89,7 +108,7 @@ _TRAVERSE = """
         return fmaf(a, b, -cd) + fmaf(-c, d, cd);
     };
     float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
-    int best_face = -1;
+    int best_key = -1;
     unsigned long long stack[STACK_SIZE];
     int depth = 0;
     unsigned int group_base = 0u, group = 0x80000000u;
@@ -166,7 +185,7 @@ POSTPONE            const int bit = highest_bit(leaves);
             if (!outside && determinant != 0.0f) {
                 const float scale = 1.0f / determinant;
                 const float t = sz * (u * pz + v * qz + w * rz) * scale;
-                if (t >= 0.0f && (t < best_t || (t == best_t && (int)r0.w < best_face))) {
+                if (t >= 0.0f && (t < best_t || (t == best_t && KEY < best_key))) {
                     FOUND
                 }
             }
@@ -204,18 +223,50 @@ _POSTPONE = """
             }
 #endif
 """
+_FACE = "(int)r0.w"
 _CLOSEST = """best_t = t;
                     best_u = u * scale;
                     best_v = v * scale;
-                    best_face = (int)r0.w;"""
-_RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_face))"
+                    best_key = KEY;"""
+_RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_key))"
+
+# The key of a layer tells faces apart as the face does, its lowest bit whether the map says that it is solid.
+_LAYER_KEY = "2 * (int)r0.w"
+_LAYER = """unsigned int opacity = r1.w >> 30;
+                    if (opacity == 3u) {
+                        float a = u * scale, b = v * scale, c = 1.0f - a - b;
+                        unsigned int micro = 0u;
+                        for (unsigned int level = r1.w & 15u; level != 0u; --level) {
+                            a += a; b += b; c += c;
+                            if (a >= 1.0f) { a -= 1.0f; micro = 4u * micro; }
+                            else if (b >= 1.0f) { b -= 1.0f; micro = 4u * micro + 1u; }
+                            else if (c >= 1.0f) { c -= 1.0f; micro = 4u * micro + 2u; }
+                            else { a = 1.0f - a; b = 1.0f - b; c = 1.0f - c; micro = 4u * micro + 3u; }
+                        }
+                        opacity = (load_word(triangle_words, r2.w + (micro >> 4)) >> (2u * (micro & 15u))) & 3u;
+                    }
+                    """
+_CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
+                        best_t = t;
+                        best_u = u * scale;
+                        best_v = v * scale;
+                        best_key = KEY + (opacity == 2u ? 1 : 0);
+                    }"""
+_SHADOW_LAYER = _LAYER + """if (opacity == 2u)
+                        return wp::vec4(t, u * scale, v * scale, as_float((unsigned int)(KEY + 1)));
+                    if (opacity == 0u) {
+                        best_t = t;
+                        best_u = u * scale;
+                        best_v = v * scale;
+                        best_key = KEY;
+                    }"""
 
 
-def _source(found: str, result: str, postpone: str, waiting: int) -> str:
+def _source(found: str, result: str, postpone: str, waiting: int, key: str = _FACE) -> str:
     """Return the native source of a query."""
     text = _TRAVERSE.replace("BYTE_SETUP\n", _BYTES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
-    return text.replace("FOUND", found) + f"    return {result};\n"
+    return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"
 
 
 @wp.func_native(_source(_CLOSEST, _RESULT, _POSTPONE, WAITING))
@@ -234,4 +285,23 @@ def any_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> bool:
     """Return whether any triangle lies closer than t_max."""
+    ...
+
+
+@wp.func_native(_source(_CLOSEST_LAYER, _RESULT, _POSTPONE, WAITING, _LAYER_KEY))
+def closest_layer_wide(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec4:
+    """Return the closest hit where a triangle is not known to be clear.
+
+    As closest_wide, but the last bits are twice the face, plus 1 where the triangle is known to be solid.
+    """
+    ...
+
+
+@wp.func_native(_source(_SHADOW_LAYER, _RESULT, _POSTPONE, WAITING, _LAYER_KEY))
+def shadow_layer_wide(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec4:
+    """Return the same for rays that any solid triangle ends: one such hit if it is met on the way to the closest."""
     ...

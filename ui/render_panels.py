@@ -97,6 +97,7 @@ class BURNISH_RENDER_PT_performance(BurnishPanel, Panel):
         layout = self.split_layout()
         performance = context.scene.burnish.performance
         layout.prop(performance, "instancing_threshold")
+        layout.prop(performance, "opacity_maps")
         layout.prop(performance, "deterministic")
         layout.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
         layout.operator("burnish.warm_up", icon='SHADERFX')

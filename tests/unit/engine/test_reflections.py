@@ -46,7 +46,7 @@ def spread(samples: ReflectionSamples, light: wp.array[wp.uint64]):
     light[i] = pack_mean(c)
 
 
-def unfiltered(light, graph, parity, scene, views, gbuffer, previous, reprojection, options, samples, **_):
+def unfiltered(light, graph, parity, views, gbuffer, previous, reprojection, options, samples, **_):
     """Stand in for the filter of samples at full resolution: change nothing."""
     graph.launch(spread, len(light), [samples], [light], banded=False)
     return light

@@ -11,7 +11,7 @@ import warp as wp
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import PerformanceSettings
-from burnish.kernels.intersect import any_hit, closest_filtered_hit, closest_hit
+from burnish.kernels.intersect import any_hit, closest_hit, closest_layer
 from burnish.kernels.types import Scene
 
 from tests import scenes
@@ -38,7 +38,7 @@ def meet(
     """Follow rays: row 0 against opaque triangles, row 1 against those that need a test."""
     i = wp.tid()
     opaque = closest_hit(scene.geometry, origin[i], direction[i], t_max)
-    layer = closest_filtered_hit(scene.geometry, origin[i], direction[i], t_max)
+    layer = closest_layer(scene.geometry, origin[i], direction[i], t_max).hit
     t_out[0, i] = opaque.t
     t_out[1, i] = layer.t
     found_out[0, i] = opaque.instance

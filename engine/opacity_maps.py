@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Opacity micromaps of the flattened triangles that need a test per hit: made on the device, renewed when due.
+
+Rays then decide most hits on leaves and grilles while they traverse the structure (kernels/wide_bvh.py), and only those
+near the outlines run the material's program. Instances in the second level have none: Warp's queries there know no
+filter. Scenes without masked materials neither keep nor launch anything.
+"""
+
+from __future__ import annotations
+
+import functools
+import weakref
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..kernels import opacity_maps as kernels
+from ..kernels.opacity_pieces import AlphaMask
+from ..kernels.types import Scene
+from ..kernels.wide_bvh import TRIANGLE_WORDS
+from .alpha_masks import MaskedBy, find_mask
+from .structures import RAY_KINDS, FlatStructure
+from .wide_bvh import WideBvh, launch_bands
+
+if TYPE_CHECKING:
+    from .device_scene import DeviceScene
+
+__all__ = ["OpacityMaps"]
+
+WORDS_MAX = 1 << 24
+"""Room for all maps, 64 MiB: where finer ones would need more, all get coarser. At the coarsest each has one word"""
+
+FINE_TEXELS = {"cuda": 4.0, "cpu": 16.0}
+"""Longest edge of the parts whose state is known [texel]: of 4, Sponza's leaves are unknown on 21 % of their surface
+instead of 47 %, but those maps take a processor longer than they save in a hundred frames"""
+
+TEXELS_MAX = {"cuda": float(1 << 31), "cpu": float(1 << 26)}
+"""Texels that all triangles with maps may cover; the largest go without. A processor takes a second or two for them"""
+
+_mask_of = functools.lru_cache(maxsize=1024)(find_mask)
+
+
+@dataclass
+class _Plan:
+    """What maps are made for."""
+
+    masks: dict[Hashable, tuple[MaskedBy, int, int]]
+    """By material key: the mask, its texture and its UV map"""
+    chosen: np.ndarray
+    """int, the instances that have maps"""
+    groups: np.ndarray
+    """int64, for each of them: mesh and set of materials as one number"""
+
+    def equals(self, other: _Plan | None) -> bool:
+        """Return whether maps made for the other are these."""
+        return (other is not None and self.masks == other.masks and np.array_equal(self.chosen, other.chosen)
+                and np.array_equal(self.groups, other.groups))
+
+
+class OpacityMaps:
+    """Keeps the maps in a scene's structure up to date."""
+
+    def __init__(self, device: str) -> None:
+        """Start without any."""
+        self.device = device
+        self.bytes = 0
+        """Device memory of the maps"""
+        self._known: weakref.ref[WideBvh] | None = None
+        """The structure that has been looked at; its memory may be needed for the next one"""
+        self._flat = np.zeros(0, bool)
+        self._plan: _Plan | None = None
+        """What the maps in the structure are for, None without any"""
+
+    def update(self, source: DeviceScene, scene: Callable[[], Scene], enabled: bool, renewed: bool) -> None:
+        """Make the maps of a scene where they are not there yet, or take them away.
+
+        Args:
+            source: The scene; its textures, materials and structures are up to date.
+            scene: Returns what kernels read of it.
+            enabled: PerformanceSettings.opacity_maps.
+            renewed: Whether images have changed.
+        """
+        flat = source.structures.filtered
+        if flat.wide is None:
+            self._known, self._plan, self.bytes = None, None, 0
+            return
+        if self._known is None or self._known() is not flat.wide:
+            self._known, self._plan, self.bytes = weakref.ref(flat.wide), None, 0
+            self._flat = np.isin(np.arange(len(source.rows)), list(source.structures.flat))
+        plan = self._choose(source) if enabled else None
+        if plan is None and self._plan is not None:
+            bases = np.full(len(source.rows), -1, np.int32)
+            none = wp.zeros(1, dtype=int, device=self.device)
+            self._reserve(flat.wide, TRIANGLE_WORDS * len(flat.faces))
+            self._mark(flat, scene(), bases, none, none, none)
+            self.bytes = 0
+        elif plan is not None and (renewed or not plan.equals(self._plan)):
+            self._make(source, scene(), plan)
+        self._plan = plan
+
+    def _choose(self, source: DeviceScene) -> _Plan | None:
+        """Return for what there should be maps, None for nothing."""
+        table, masks = source.table, {}
+        for key in {key for keys in table.material_sets for key in keys}:
+            data = source.materials.get(key)
+            # Emission may shine from where all light passes.
+            found = _mask_of(data.program) if data is not None and not data.has_emission else None
+            if found is not None:
+                texture = -1 if found.image is None else source.textures.index(found.image)
+                uv_map = -1 if found.uv_map is None else source.store.uv_id(found.uv_map)
+                if found.image is None or texture >= 0:
+                    masks[key] = found, texture, uv_map
+        if not masks:
+            return None
+        masked = np.array([any(key in masks for key in keys) for keys in table.material_sets], bool)
+        # Objects that some rays don't see are no obstacle to those.
+        seen = (table.visibility & RAY_KINDS) == RAY_KINDS
+        chosen = np.flatnonzero(masked[table.material_set_index] & seen & self._flat & (source.plan.mesh_index >= 0))
+        sets = len(table.material_sets)
+        groups = source.plan.mesh_index[chosen].astype(np.int64) * sets + table.material_set_index[chosen]
+        return _Plan(masks, chosen, groups) if len(chosen) else None
+
+    def _make(self, source: DeviceScene, scene: Scene, plan: _Plan) -> None:
+        """Make all maps."""
+        table, flat, device = source.table, source.structures.filtered, self.device
+        groups, examples, members = np.unique(plan.groups, return_index=True, return_inverse=True)
+        meshes = (groups // len(table.material_sets)).tolist()
+        counts = np.array([source.store.ranges[source.plan.mesh_keys[mesh]].triangle_count for mesh in meshes])
+        ends = np.cumsum(counts)
+        starts, count = (ends - counts).astype(np.int32), int(ends[-1])
+        bases = np.full(len(source.rows), -1, np.int32)
+        bases[plan.chosen] = starts[members]
+        records, rows = self._records(source, plan)
+        about = [
+            scene, wp.array(starts, dtype=int, device=device),
+            wp.array(plan.chosen[examples].astype(np.int32), dtype=int, device=device),
+            wp.array(rows, dtype=int, device=device), wp.array(records, dtype=AlphaMask, device=device)]
+        levels, states, word_ends, kept_ends = (wp.empty(count, dtype=int, device=device) for _ in range(4))
+        texels = wp.empty(count, dtype=float, device=device)
+        kind = "cuda" if wp.get_device(device).is_cuda else "cpu"
+        launch_bands(kernels.choose_levels, 0, count, [*about, FINE_TEXELS[kind]], [levels, texels, states])
+        most, limit, total = _fit(levels.numpy(), texels.numpy(), TEXELS_MAX[kind])
+        kept = 0
+        launch_bands(kernels.limit_levels, 0, count, [texels, most, limit], [levels, word_ends])
+        if total:
+            wp.utils.array_scan(word_ends, word_ends, inclusive=True)
+            maps = wp.empty(total, dtype=wp.uint32, device=device)
+            launch_bands(kernels.fill_maps, 0, total, [*about, levels, word_ends], [maps])
+            launch_bands(kernels.judge_maps, 0, count, [levels, word_ends, maps], [states, kept_ends])
+            wp.utils.array_scan(kept_ends, kept_ends, inclusive=True)
+            kept = int(kept_ends[count - 1:].numpy()[0])
+        words = TRIANGLE_WORDS * len(flat.faces)
+        self._reserve(flat.wide, words, kept)
+        if kept:
+            launch_bands(
+                kernels.place_maps, 0, kept, [word_ends, kept_ends, maps, words], [flat.wide.triangles])
+        self._mark(flat, scene, bases, levels, states, kept_ends)
+        self.bytes = 4 * kept
+
+    def _mark(self, flat: FlatStructure, scene: Scene, bases: np.ndarray, levels: wp.array,
+              states: wp.array, kept_ends: wp.array) -> None:
+        """Write into the structure's triangles what is known of them."""
+        bases = wp.array(bases, dtype=int, device=self.device)
+        launch_bands(kernels.mark_triangles, 0, len(flat.faces), [
+            scene, flat.faces, bases, levels, states, kept_ends], [flat.wide.triangles])
+
+    def _reserve(self, wide: WideBvh, words: int, more: int = 0) -> None:
+        """Make room for maps behind the triangles; where it is there already, recorded frames go on."""
+        old = wide.triangles
+        if len(old) != words + more:
+            wide.triangles = wp.empty(words + more, dtype=wp.uint32, device=self.device)
+            wp.copy(wide.triangles, old, count=words)
+
+    @staticmethod
+    def _records(source: DeviceScene, plan: _Plan) -> tuple[np.ndarray, np.ndarray]:
+        """Return the masks as kernels read them, and the mask of each material, -1 for none."""
+        rows = np.full(len(source.material_table.indices), -1, np.int32)
+        records = np.zeros(len(plan.masks), AlphaMask.numpy_dtype())
+        for i, (key, (mask, texture, uv_map)) in enumerate(plan.masks.items()):
+            rows[source.material_table.index(key)] = i
+            records[i]["texture"], records[i]["uv_map"] = texture, uv_map
+            for name in ("extension", "associate", "channel", "u", "v", "clear", "solid"):
+                records[i][name] = getattr(mask, name)
+        return records, rows
+
+
+def _fit(levels: np.ndarray, texels: np.ndarray, budget: float) -> tuple[float, int, int]:
+    """Return what maps there are time and room for.
+
+    Args:
+        levels: Of the map that each triangle asks for; 0 is none.
+        texels: How many it covers.
+        budget: How many all may cover.
+
+    Returns:
+        Texels beyond which a triangle has no map, the highest level, and the words that all need.
+    """
+    ordered = np.sort(texels[levels > 0].astype(np.float64))
+    allowed = int(np.searchsorted(np.cumsum(ordered), budget, "right"))
+    most = float(ordered[allowed - 1]) if allowed else -1.0
+    counts = np.bincount(levels[texels <= most], minlength=int(kernels.MAX_LEVEL) + 1)
+    lowest = int(kernels.MIN_LEVEL)
+    asked = np.arange(lowest, len(counts))
+    for limit in reversed(asked.tolist()):
+        total = int((counts[lowest:].astype(np.int64) << 2 * (np.minimum(asked, limit) - lowest)).sum())
+        if total <= WORDS_MAX:
+            break
+    return most, limit, total
