@@ -36,7 +36,7 @@ SEPARATION = wp.constant(0.8)
 
 # Frames of light, and those that a probe has averaged, from which on updates may wait: before, every ray counts.
 SETTLED_FRAMES = wp.constant(16.0)
-SETTLED_COUNT = wp.constant(8.0)
+SETTLED_COUNT = wp.constant(4.0)
 
 SLOT_BITS = wp.constant(wp.int64(4294967295))
 

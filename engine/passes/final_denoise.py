@@ -34,6 +34,8 @@ MIRRORS = 4
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
 """Samples at which O and R count the same"""
+DETAIL_SAMPLES = 32
+"""Samples below which R is not made: it would count for less than 3 %, and its noise with it"""
 FRAMES_SHARE = 0.25
 """Of the picture made with real-time frames, where there are any, beside O: it errs differently from R"""
 
@@ -123,11 +125,12 @@ class FinalDenoise:
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
         if traced is None:
             return denoised
-        if (self._blend.width, self._blend.height) != size:
-            self._blend.resize(*size)
-        detailed = self._blend.resolve(buffers, denoised, transparent, normal)
-        share = EVEN_SAMPLES / (EVEN_SAMPLES + samples)
-        launch(denoise_guides.mix_pictures, count, [0, denoised, detailed, share], [denoised], self.device)
+        if samples >= DETAIL_SAMPLES:
+            if (self._blend.width, self._blend.height) != size:
+                self._blend.resize(*size)
+            detailed = self._blend.resolve(buffers, denoised, transparent, normal)
+            share = EVEN_SAMPLES / (EVEN_SAMPLES + samples)
+            launch(denoise_guides.mix_pictures, count, [0, denoised, detailed, share], [denoised], self.device)
         if picture is not None:
             launch(denoise_guides.mix_pictures, count, [0, denoised, picture, 1.0 - FRAMES_SHARE], [denoised],
                    self.device)
