@@ -84,7 +84,7 @@ def lobe_overlap(centre: FilterCentre, lobe: FilterLobe, tap: FilterTap) -> floa
         alike = sqr(2.0 * alpha * other / (alpha * alpha + other * other))
     if tap.normal != centre.packed:
         # Mirrored directions turn by twice the angle of the normals.
-        turned = 2.0 / (NORMAL_SHARE * LOBE_SIGMA * surface_alpha(centre.roughness) * lobe.turn_reach)
+        turned = 2.0 / (NORMAL_SHARE * LOBE_SIGMA * surface_alpha(centre.roughness) * lobe.reach)
         bend = unit_normal(tap.normal) - centre.normal
         square += wp.dot(bend, bend) * sqr(turned)
     return alike * wp.exp(-wp.min(0.5 * square, EXPONENT_MAX))
@@ -231,7 +231,7 @@ def filter_samples(
 ):
     """Filter the light of blocks among themselves: the first pass; banded over blocks.
 
-    `history` is the frame before's, which at rest tells how much blur is worth its error.
+    `history` is the frame before's, which at rest tells how far away is what is reflected.
     52 bytes a block: 36 read, 16 written; those of the taps are cached. Mirrors have no taps.
     """
     filter_block(

@@ -3,8 +3,8 @@
 
 The rank test (after Mara et al. 2017) is one that fires: a sample is a spark where fewer than a tenth of its neighbours
 come near it. A replaced spark alone would darken, most where light comes in rare bright samples; what it had is spread
-over its neighbours, so that a flash becomes a faint glow of the same energy. The threshold rises at rest until nothing
-is spread any more and sharp sparkles stay where they are.
+over its neighbours, so that a flash becomes a faint glow of the same energy. Soon at rest ever less is spread, so that
+what is sharp and bright in a reflection, thin lamps above all, becomes no wider than it is.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ NEAR_NEIGHBORS = wp.constant(0.1)
 REACH = wp.constant(2)
 # Neighbours of the same surface without which there is nothing to compare with.
 NEIGHBORS_MINIMUM = wp.constant(8.0)
-# Frames at rest in which the threshold doubles, and after which nothing is a spark any more.
-THRESHOLD_FRAMES = wp.constant(8.0)
-SPARK_FRAMES = wp.constant(64)
+# Frames at rest in which ever less of a spark is spread, and after which nothing is.
+SPARK_START = wp.constant(8.0)
+SPARK_END = wp.constant(12.0)
 # What reflects alike: squared cosine of the normals, ratio of the roughnesses.
 LIKE_COSINE2 = wp.constant(0.9)
 LIKE_ROUGHNESS = wp.constant(0.6)
@@ -70,9 +70,9 @@ def like_weight(centre: FilterCentre, tap: FilterTap) -> float:
 
 
 @wp.func
-def spark_threshold(own: float, rest: int) -> float:
-    """Return the strength from which on a neighbour comes near a sample's."""
-    return own * NEAR_SHARE * wp.pow(2.0, -float(wp.min(rest, SPARK_FRAMES)) / THRESHOLD_FRAMES)
+def spread_share(view: View) -> float:
+    """Return how much of what a spark has over its neighbours is spread: all in motion, soon nothing at rest."""
+    return wp.clamp((SPARK_END - float(wp.min(view.rest, view.light_age))) / (SPARK_END - SPARK_START), 0.0, 1.0)
 
 
 @wp.func
@@ -126,7 +126,7 @@ def mark_samples(
     In detail:
         first: Of the band.
         cleanup: 0: nothing is a spark.
-        lights_out: The samples, sparks replaced by the mean of their neighbours.
+        lights_out: The samples, sparks replaced by the mean of their neighbours as far as they are spread.
         excess_out: pack_halves of what was taken from a spark, by the sum of the weights it is spread with.
     """
     block = first + wp.tid()
@@ -138,8 +138,7 @@ def mark_samples(
     if block_depth(blocks.surface[block]) < SKY_DEPTH:
         centre = block_centre(load_view(views), gbuffer, options, blocks, state_lobe(state), block)
         own = light_strength(rgb(light))
-        rest = wp.min(views[0].rest, views[0].light_age)
-        threshold = spark_threshold(own, rest)
+        share = spread_share(views[0])
         near = float(0.0)
         count = float(0.0)
         rough = wp.vec3(centre.roughness, centre.roughness * centre.roughness, 1.0)
@@ -162,7 +161,7 @@ def mark_samples(
                         other = unpack_halves(lights.light[tap.block])
                         if other[3] > 0.0:
                             closeness += wp.vec2(other[3] * w, w)
-                        if light_strength(rgb(other)) > threshold:
+                        if light_strength(rgb(other)) > NEAR_SHARE * own:
                             near += 1.0
                         else:
                             sum += other * w
@@ -174,13 +173,13 @@ def mark_samples(
         if unpack_state(state)[1] < 0.0:
             mark = MARK_MISSING
         elif (
-            cleanup == 1 and own > 0.0 and rest < SPARK_FRAMES and count >= NEIGHBORS_MINIMUM
+            cleanup == 1 and own > 0.0 and share > 0.0 and count >= NEIGHBORS_MINIMUM
             and near < NEAR_NEIGHBORS * count
         ):
             mark = MARK_SPARK
-            mixed = rgb(sum) / total
-            excess = (rgb(light) - mixed) / spread
-            light = rgba(mixed, light[3])
+            taken = (rgb(light) - rgb(sum) / total) * share
+            excess = taken / spread
+            light = rgba(rgb(light) - taken, light[3])
         mark = mark | (uneven_roughness(rough) << JITTER_SHIFT)
     closeness_out[block] = wp.float16(wp.max(closeness[0] / wp.max(closeness[1], 1.0e-6), 1.0 / SAMPLE_FAR))
     store_mark(mark, light, state, excess, block, mark_out, lights_out, excess_out)

@@ -9,10 +9,11 @@ from .gbuffer import GBuffer, load_material
 from .geometry_math import PI, mean_component, sqr
 from .ggx import bounded_cap
 from .normals import valid_specular_normal
+from .packed_halves import unpack_halves
 from .packing import unpack_normal
 from .reflection_blocks import FilterCentre, ReflectionHistory
 from .reflection_types import LOBE_REFLECTION, ReflectionOptions
-from .reflection_width import error_reach, filter_reach
+from .reflection_width import filter_reach
 from .specular_lobes import surface_alpha
 from .view import View, direction_to_eye, eye_position, film_position, pixel_footprint, unproject
 
@@ -26,8 +27,6 @@ GRAZING = wp.constant(0.2)
 BLUR_SHARE = wp.constant(0.3)
 # Deviations beyond which the ratio of densities leaves nothing of a sample: mirrors need no taps.
 RATIO_SHARE = wp.constant(1.5)
-# Of their width, what is left in the end for differences of the normals where they stay wide.
-TURN_SHARE = wp.constant(0.3)
 
 
 @wp.struct
@@ -73,8 +72,6 @@ class FilterLobe:
     """Width of a pixel [m]"""
     reach: float
     """Share of the filter's width that is left at rest"""
-    turn_reach: float
-    """The same of what normals may differ by"""
     closeness: float
     """1 / distance from the surface of what is reflected around here [1/m]"""
 
@@ -136,11 +133,12 @@ def filter_lobe(
     if view.camera.orthographic == 0:
         out.turn = out.pixel / wp.max(wp.length(eye_position(view.camera) - out.position), 1.0e-20)
     out.reach = filter_reach(view)
-    out.turn_reach = out.reach
     if out.reach < 1.0:
-        wanted = error_reach(history, pixel)
-        out.turn_reach = wp.max(out.reach, TURN_SHARE * wanted)
-        out.reach = wp.max(out.reach, wanted)
+        # Where now one thing is met and now another, widths and weights by what a frame has met would go along with
+        # its light: frames that missed a lamp before a far world would count for more.
+        known = unpack_halves(history.state[pixel])
+        if known[0] != 0.0:
+            out.closeness = known[3]
     out.peak = 1.0
     if needs_densities(options, part):
         m = load_material(gbuffer, pixel)

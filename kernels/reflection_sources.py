@@ -40,7 +40,7 @@ from .view import (
 )
 from .wide_loads import load_previous_view, load_word
 
-# Frames that the distance of what is reflected is averaged over at most.
+# Frames that the distance of what is reflected is averaged over at most, and those at rest besides.
 DISTANCE_FRAMES = wp.constant(8.0)
 # Relative difference that is always taken for noise.
 MARGIN = wp.constant(0.05)

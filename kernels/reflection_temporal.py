@@ -135,9 +135,9 @@ def renewed(m: ReflectionMean, light: wp.vec4, roughness: float) -> ReflectionMe
 
 @wp.func
 def add_reflection(
-    m: ReflectionMean, light: wp.vec4, confidence: float, moving: float, cap: float,
+    m: ReflectionMean, light: wp.vec4, confidence: float, moving: float, cap: float, rest: float,
 ) -> ReflectionMean:
-    """Return the mean after a frame that counts for `confidence` samples."""
+    """Return the mean after a frame, the `rest`th at rest, that counts for `confidence` samples."""
     out = m
     strength = light_strength(rgb(light))
     change = float(0.0)
@@ -154,7 +154,7 @@ def add_reflection(
         apart = max_component(wp.abs(rgb(light) - m.light))
         out.deviation = wp.sqrt((1.0 - narrow) * (m.deviation * m.deviation + narrow * apart * apart))
     out.fast = wp.lerp(m.fast, strength, wp.max(blend, confidence / FAST_FRAMES))
-    out.closeness = wp.lerp(m.closeness, light[3], wp.max(blend, confidence / DISTANCE_FRAMES))
+    out.closeness = wp.lerp(m.closeness, light[3], wp.max(blend, confidence / (DISTANCE_FRAMES + rest)))
     out.light = wp.lerp(m.light, rgb(light), blend)
     return out
 
@@ -224,7 +224,7 @@ def accumulate_reflections(
             if view.light_age < EDIT_FRAMES:
                 # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
                 cap *= wp.max(confidence, START_CONFIDENCE)
-            m = add_reflection(m, light, confidence, moving, cap)
+            m = add_reflection(m, light, confidence, moving, cap, float(view.rest))
     history_out.light[pixel] = pack_mean(m.light)
     history_out.state[pixel] = pack_halves(
         wp.vec4(wp.where(m.changed == 1, -m.length, m.length), m.fast, m.deviation, m.closeness))

@@ -238,10 +238,10 @@ def upscale_samples(
     """Filter the light of blocks into pixels; banded over pixels.
 
     60 bytes a pixel that reflects: 44 read (surface and material 36, its share of the blocks 8; the taps are cached),
-    16 written; 16 more are read at rest. 9 taps.
+    16 written; 8 more are read at rest. 9 taps.
 
     In detail:
-        history: Of the frame before; at rest it tells how much blur is worth its error.
+        history: Of the frame before; at rest it tells how far away is what is reflected.
     """
     upscale_pixel(
         views, gbuffer, options, part, samples, blocks, lights, history, first + wp.tid(), lights_out)

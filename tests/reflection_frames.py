@@ -164,9 +164,14 @@ class ReflectionFrames:
         pixels = np.arange(self.size**2)
         return sum(self.trace(pixels, light)[2] for _ in range(samples)).reshape(self.size, self.size) / samples
 
-    def place_all(self):
-        """Draw the pixel at which each block is sampled; return pixels and which of them are in the picture."""
+    def place_all(self, turn=None):
+        """Draw the pixel at which each block is sampled; return pixels and which of them are in the picture.
+
+        With a `turn` all of a block's pixels take turns, and the number tells whose it is.
+        """
         place = self.rng.integers(0, self.stride**2, self.columns**2)
+        if turn is not None:
+            place[:] = (np.arange(len(place)) + turn) % self.stride**2
         block = np.arange(self.columns**2)
         x = block % self.columns * self.stride + place % self.stride
         y = block // self.columns * self.stride + place // self.stride

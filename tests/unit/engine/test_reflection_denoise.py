@@ -48,11 +48,11 @@ def test_small_lamps_keep_their_light(size: int, tolerance: float) -> None:
     All roughnesses together: what single ones are off by is the noise of samples that count for differently much.
     """
     ratios = []
-    for seed, roughness in enumerate((0.05, 0.1, 0.2, 0.4) * (4 if size < 50 else 1)):
+    for seed, roughness in enumerate((0.05, 0.1, 0.2, 0.4) * (10 if size < 50 else 1)):
         frames = ReflectionFrames(size=size, window=0.8, depth=2.0, ceiling=1.9, roughness=roughness, seed=seed)
         given = 0.0
         for rest in range(64):
-            place, pixels, valid = frames.place_all()
+            place, pixels, valid = frames.place_all(rest)
             direction, pdf, values, distance = frames.trace(
                 pixels, lambda x, y: np.where((np.abs(x - 0.1) < 0.125) & (np.abs(y) < 0.125), 20.0, 0.0))
             frames.give(place, valid, values, distance, direction, pdf)
@@ -60,7 +60,7 @@ def test_small_lamps_keep_their_light(size: int, tolerance: float) -> None:
             given += values[valid].mean() / 64
         ratios.append(picture.mean() / given)
     assert np.mean(ratios) == pytest.approx(1.0, abs=tolerance)
-    assert np.abs(np.array(ratios) - 1.0).max() < 0.06
+    assert np.abs(np.array(ratios) - 1.0).max() < 0.15
 
 
 def test_mirrors_leave_early_frames_behind() -> None:
@@ -75,24 +75,58 @@ def test_mirrors_leave_early_frames_behind() -> None:
     assert picture.mean() < 1.4
 
 
-def test_noise_keeps_filters_wide_at_rest() -> None:
-    """Filter as in motion where the mean is noisy after many frames, nothing where it is clean."""
-    def spread(noise):
+def test_filters_shrink_at_rest() -> None:
+    """Filter ever less at rest, where the mean is noisy as where it is clean: all pixels alike, so that none loses."""
+    def stays(noise, rest):
         frames = ReflectionFrames(roughness=0.4, window=0.05, reflection_cleanup=False)
-        for rest in range(180):
+        for index in range(rest):
             frames.draw(even, lambda rng, count: rng.lognormal(-0.5 * noise**2, noise, count))
-            frames.show(rest=rest)
+            frames.show(rest=index)
         # A lone bright sample: how much of it stays in its pixel.
         place, pixels, valid = frames.place_all()
         direction, pdf, values, distance = frames.trace(pixels, even)
         values[:] = 1.0
         values[8 * 16 + 8] = 100.0
         frames.give(place, valid, values, distance, direction, pdf)
-        frames.show(rest=200)
+        frames.show(rest=rest)
         light = frames.denoiser.filtered.light.numpy().view(np.float16).reshape(-1, 4)[:, 0]
         return light.max()
 
-    assert spread(2.0) < 0.5 * spread(0.02)
+    assert stays(0.02, 16) < 5.0
+    for noise in (0.02, 2.0):
+        assert stays(noise, 200) > 15.0, noise
+
+
+def rms_width(profile):
+    """Return the standard deviation of a profile about its mean [px]."""
+    x = np.arange(len(profile))
+    middle = (profile * x).sum() / profile.sum()
+    return np.sqrt((profile * (x - middle) ** 2).sum() / profile.sum())
+
+
+def test_thin_lamps_keep_light_and_width_at_rest() -> None:
+    """Show a thin strip light before a dark, far world as bright and as wide as its samples are, after a while at rest.
+
+    Frames that miss it see far: neither they nor the pixels that have missed it so far may count for more.
+    """
+    shown = truth = 0.0
+    for seed in range(3):
+        frames = ReflectionFrames(size=40, window=0.8, depth=2.0, ceiling=1.9, roughness=0.2, seed=seed)
+
+        def strip(x, y):
+            return np.where(np.abs(x) < 0.03, 20.0, 0.0)
+
+        truth = truth + frames.truth(strip, 400).mean(0)
+        for rest in range(96):
+            place, pixels, valid = frames.place_all()
+            direction, pdf, values, distance = frames.trace(pixels, strip)
+            frames.give(place, valid, values, np.where(values > 0.0, distance, 6e4), direction, pdf)
+            frames.row["frame"] = rest
+            picture = frames.show(rest=rest, light_age=rest)
+        shown = shown + picture.mean(0)
+    assert shown.sum() / truth.sum() == pytest.approx(1.0, abs=0.03)
+    middle = slice(8, -8)
+    assert rms_width(shown[middle]) / rms_width(truth[middle]) == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("resting", [False, True])
@@ -111,7 +145,7 @@ def test_noise_keeps_its_mean(roughness: float, resting: bool) -> None:
         frames.draw(even, noise)
         picture = frames.show(rest=index if resting else 0)
     np.testing.assert_allclose(picture.mean() / np.mean(given[-32:] if not resting else given), 1.0, atol=0.015)
-    assert picture.std() < 0.2
+    assert picture.std() < 0.25
 
 
 def test_ramp_stays_a_ramp() -> None:
