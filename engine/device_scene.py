@@ -47,9 +47,6 @@ class SceneChanges:
 # Share of the meshes' buffers that may lie idle before everything is built anew.
 WASTE_LIMIT = 0.5
 
-ORIGIN_STEP = 16.0
-"""Steps by which scenes are moved [m]: a whole number of the radiance cache's cells of common sizes"""
-
 
 class DeviceScene:
     """Everything a ray can meet, on one device."""
@@ -241,18 +238,23 @@ class DeviceScene:
         drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
         center, half = np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
         if self.plan is None:
-            self._choose_origin(center[drawn])
+            self._choose_origin(center[drawn], half[drawn])
         self.drawn, self.low, self.high = drawn, center - half - self.origin, center + half - self.origin
         if drawn.any():
             low, high = self.low[drawn], self.high[drawn]
             self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
 
-    def _choose_origin(self, center: np.ndarray) -> None:
-        """Move scenes by whole steps to the origin, where float32 keeps what matters: to the median, where most is."""
+    def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
+        """Move scenes by whole steps to the origin, where float32 keeps what matters: to the median, where most is.
+
+        Steps are powers of two, as cells of the radiance cache are: moved and scaled scenes have the same cells.
+        """
         self.origin = np.zeros(3)
         if len(center):
+            size = np.linalg.norm((center + half).max(0) - (center - half).min(0))
+            step = 2.0 ** (np.ceil(np.log2(max(size, 1e-30))) + 1.0)
             # Not by a half: what is modelled there would be rounded to either side.
-            self.origin = ORIGIN_STEP * np.floor(np.sort(center, axis=0)[(len(center) - 1) // 2] / ORIGIN_STEP + 0.53)
+            self.origin = step * np.floor(np.sort(center, axis=0)[(len(center) - 1) // 2] / step + 0.53)
 
     def _plan_instances(self) -> bool:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
