@@ -245,16 +245,15 @@ class DeviceScene:
             self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
 
     def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
-        """Move scenes by whole steps to the origin, where float32 keeps what matters: to the median, where most is.
-
-        Steps are powers of two, as cells of the radiance cache are: moved and scaled scenes have the same cells.
-        """
+        """Move far-away scenes to the origin, where float32 keeps what matters: by the median, where most of it is."""
         self.origin = np.zeros(3)
         if len(center):
-            size = np.linalg.norm((center + half).max(0) - (center - half).min(0))
-            step = 2.0 ** (np.ceil(np.log2(max(size, 1e-30))) + 1.0)
-            # Not by a half: what is modelled there would be rounded to either side.
-            self.origin = step * np.floor(np.sort(center, axis=0)[(len(center) - 1) // 2] / step + 0.53)
+            middle = np.sort(center, axis=0)[(len(center) - 1) // 2]
+            size = max(np.linalg.norm((center + half).max(0) - (center - half).min(0)), 1e-30)
+            if np.abs(middle).max() > 16.0 * size:
+                # A power of two, as the cache's cells are: moved and scaled scenes have the same cells.
+                step = 2.0 ** (np.ceil(np.log2(size)) + 1.0)
+                self.origin = step * np.round(middle / step)
 
     def _plan_instances(self) -> bool:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
