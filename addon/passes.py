@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..engine.group_names import GROUP_PREFIX
-from ..engine.pass_names import COLOR_AOV, MATTE_KINDS, VALUE_AOV
+from ..engine.pass_names import COLOR_AOV, GROUP_PREFIX, MATTE_KINDS, VALUE_AOV
 from ..engine.report import Report, ReportKind
 from ..engine.settings import Integrator
 from . import compat

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 import warp as wp
 
-__all__ = ["History", "arrays_of"]
+__all__ = ["History", "arrays_of", "copy_struct"]
 
 T = TypeVar("T")
 
@@ -19,6 +19,14 @@ def arrays_of(buffers: object) -> list[wp.array]:
         return [buffers]
     values = (getattr(buffers, name) for name in buffers._cls.vars)
     return [value for value in values if isinstance(value, wp.array)]
+
+
+def copy_struct(values: T) -> T:
+    """Return a Warp struct of the same values; arrays are shared."""
+    copy = values._cls()
+    for name in values._cls.vars:
+        setattr(copy, name, getattr(values, name))
+    return copy
 
 
 class History(Generic[T]):

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names of the passes of the first surfaces (passes/first_hits.py). Without Warp: Blender asks for them at any time."""
+"""Names of passes of the first surfaces (passes/first_hits.py) and of light groups. Without Warp, for registration."""
 
 from __future__ import annotations
 
-__all__ = ["COLOR_AOV", "FIRST_HIT_PASSES", "MATTE_KINDS", "OCCLUSION", "VALUE_AOV", "first_hit_channels"]
+__all__ = [
+    "COLOR_AOV", "FIRST_HIT_PASSES", "GROUP_PREFIX", "MATTE_KINDS", "OCCLUSION", "VALUE_AOV", "first_hit_channels"]
 
 COLOR_AOV, VALUE_AOV = "Color AOV ", "Value AOV "
 """What the engine's names of shader AOVs begin with"""
+
+GROUP_PREFIX = "Combined_"
+"""Before a light group's name in that of its pass, as in Cycles"""
 
 MATTE_KINDS = ("CryptoObject", "CryptoMaterial", "CryptoAsset")
 """What the names of Cryptomatte's passes begin with: `CryptoObject00` and so on"""
@@ -19,11 +23,11 @@ LEVELS_MAX = 16
 FIRST_HIT_PASSES = {
     "Mist": 1, "Vector": 4, OCCLUSION: 3,
     **{f"{kind}{number:02d}": 4 for kind in MATTE_KINDS for number in range(LEVELS_MAX // 2)}}
-"""Channels of each pass but shader AOVs"""
+"""Channels of each pass of the first surfaces but shader AOVs"""
 
 
 def first_hit_channels(name: str) -> int:
-    """Return the channels of one of these passes, 0 for any other."""
+    """Return the channels of a pass of the first surfaces, 0 for any other."""
     if name.startswith((COLOR_AOV, VALUE_AOV)):
         return 4 if name.startswith(COLOR_AOV) else 1
     return FIRST_HIT_PASSES.get(name, 0)

@@ -281,13 +281,12 @@ class Session:
         Raises:
             KeyError: No such pass, or configure() was not told that it would be read.
         """
-        channels = first_hit_channels(name) or PASSES.get(name, 3)
-        if not (name == "Combined" or first_hit_channels(name) or is_light_pass(name)
-                or (name in PASSES and self._film.passes)):
+        channels = first_hit_channels(name)
+        if not (name == "Combined" or channels or is_light_pass(name) or (name in PASSES and self._film.passes)):
             raise KeyError(name)
         start = time.perf_counter()
         width, height = self._size[2][2], self._size[2][3]
-        picture = self._read_flat(name).reshape(height, width, channels)
+        picture = self._read_flat(name).reshape(height, width, channels or PASSES.get(name, 3))
         self.stats.times["read"] = time.perf_counter() - start
         return np.array(picture, np.float32, order="C")
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from .camera import CameraRay, camera_ray, filter_offset
 from .filter import MAX_LAYERS, layer_point, step_past
-from .geometry_math import max_component, mean_component
+from .geometry_math import clamp3, max_component, mean_component
 from .intersect import MISS, Hit, closest_hit, closest_layer
 from .motion import Motion, previous_point
 from .nodes import run, world_point
@@ -192,12 +192,6 @@ def start_of(scene: Scene, values: ShaderValues, number: int, material: int, tra
     if transparent:
         return scene.materials.materials[material].transparency_start
     return NO_PROGRAM
-
-
-@wp.func
-def clamp3(v: wp.vec3) -> wp.vec3:
-    """Limit a colour to 0..1."""
-    return wp.vec3(wp.clamp(v[0], 0.0, 1.0), wp.clamp(v[1], 0.0, 1.0), wp.clamp(v[2], 0.0, 1.0))
 
 
 @wp.func

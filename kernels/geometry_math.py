@@ -38,6 +38,12 @@ def mean_component(v: wp.vec3) -> float:
 
 
 @wp.func
+def clamp3(v: wp.vec3) -> wp.vec3:
+    """Limit every component to 0..1; what is no number becomes 0."""
+    return wp.vec3(wp.clamp(v[0], 0.0, 1.0), wp.clamp(v[1], 0.0, 1.0), wp.clamp(v[2], 0.0, 1.0))
+
+
+@wp.func
 def is_finite3(v: wp.vec3) -> bool:
     """Return whether no component is NaN or infinite."""
     return wp.isfinite(v[0]) and wp.isfinite(v[1]) and wp.isfinite(v[2])

@@ -15,17 +15,15 @@ from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lamp_hit import FAR, lamp_hit
 from .light_tree import choose_by_tree
-from .lights import LightSample, class_total, class_weight, lamp_chance, sample_emitter, sample_lamp
+from .lights import LightSample, choose_class, class_total, lamp_chance, sample_emitter, sample_lamp
 from .packing import rgb, rgba
-from .path_shading import GOLDEN, LIGHT_CANDIDATES
+from .path_shading import LIGHT_CANDIDATES, candidate_place
 from .paths import ENDED, Options, Paths, clamp_light, limit_at, make_hit
 from .sampling import (
-    BELOW_ONE,
     DIMENSION_FIRST_BOUNCE,
     DIMENSION_LIGHT,
     DIMENSION_LIGHT_CHOICE,
     DIMENSIONS_PER_BOUNCE,
-    fraction,
     sample_number,
     sample_pair,
 )
@@ -72,6 +70,15 @@ def add_to_group(groups: GroupLight, group: int, path: int, light: wp.vec3):
         groups.light[group, path] = groups.light[group, path] + wp.max(light, wp.vec3(0.0, 0.0, 0.0))
 
 
+@wp.func
+def forget_groups(groups: GroupLight, path: int):
+    """Take a path's light away from all groups."""
+    group = int(0)
+    while group < groups.light.shape[0]:
+        groups.light[group, path] = wp.vec3(0.0, 0.0, 0.0)
+        group = group + 1
+
+
 @wp.kernel
 def add_lamps_met(
     # In:
@@ -92,10 +99,7 @@ def add_lamps_met(
         i = i + stride
         bounce = paths.state[path]
         if bounce == 0:
-            group = int(0)
-            while group < groups_out.light.shape[0]:
-                groups_out.light[group, path] = wp.vec3(0.0, 0.0, 0.0)
-                group = group + 1
+            forget_groups(groups_out, path)
         gathered = rgb(paths.radiance[path])
         t_max = paths.t[path]
         if paths.hit[path][0] == MISS:
@@ -134,14 +138,9 @@ def light_again(
     total = class_total(lights, normal)
     if total <= 0.0:
         return found
-    chosen = int(0)
-    left = u[0] * total
-    chance = class_weight(lights, 0, normal)
-    while left >= chance and chosen < lights.class_count - 1:
-        left = left - chance
-        chosen = chosen + 1
-        chance = class_weight(lights, chosen, normal)
-    left = wp.min(left / wp.max(chance, 1.0e-30), BELOW_ONE)
+    choice = choose_class(lights, total, normal, u[0])
+    chosen = choice.index
+    left = choice.left
     if chosen == lights.environment_class:
         found.sample.kind = 0
         found.sample.wi = sample_environment(scene.environment, wp.vec2(left, u[1]))
@@ -183,11 +182,10 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
     nearest = float(FAR)
     k = int(0)
     while k < 3 * LIGHT_CANDIDATES:
-        step = float(k // 3)
         side = point.geometric_normal * float(k % 3 - 1)
         found = light_again(
             scene, tables, point.position, side,
-            wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
+            candidate_place(place, float(k // 3)), refill)
         s = found.sample
         if s.kind >= 0 and (s.distance >= FAR) == (distance >= FAR):
             off = s.wi - direction
@@ -227,10 +225,7 @@ def add_surface_met(
         hit = paths.hit[path]
         if max_component(known) > 0.0 and not max_component(gathered) > 0.0:
             # A holdout hides the lamps in front of it too.
-            group = int(0)
-            while group < groups_out.light.shape[0]:
-                groups_out.light[group, path] = wp.vec3(0.0, 0.0, 0.0)
-                group = group + 1
+            forget_groups(groups_out, path)
         elif hit[0] == MISS:
             add_to_group(groups_out, tables.world, path, met)
         else:

@@ -16,7 +16,7 @@ from .layering import prepare_bsdf
 from .light_split import LightSplit
 from .lights import class_total, sample_light_of
 from .packing import rgb, rgba
-from .path_shading import GOLDEN, LIGHT_CANDIDATES, front_of
+from .path_shading import LIGHT_CANDIDATES, candidate_place, front_of
 from .paths import ENDED, Paths, make_hit
 from .principled import evaluate_bsdf
 from .reflectance import bsdf_albedo
@@ -24,7 +24,6 @@ from .sampling import (
     DIMENSION_FIRST_BOUNCE,
     DIMENSION_LIGHT,
     DIMENSION_LIGHT_CHOICE,
-    fraction,
     sample_number,
     sample_pair,
 )
@@ -53,10 +52,9 @@ def light_visibility(scene: Scene, point: ShadingPoint, bsdf: Bsdf, paths: Paths
     visibility = int(ALL_LOBES)
     k = int(0)
     while k < LIGHT_CANDIDATES:
-        step = float(k)
         s = sample_light_of(
             scene, total, point.position, side,
-            wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
+            candidate_place(place, float(k)), refill)
         if s.kind >= 0:
             cosine = wp.dot(s.wi, paths.shadow_direction[path])
             if cosine > nearest:

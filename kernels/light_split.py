@@ -16,7 +16,7 @@ from .composite import PASS_GLOSSY, PASS_TRANSMISSION, LightPasses
 from .geometry_math import is_finite3
 from .intersect import MISS
 from .packing import rgb, rgba
-from .paths import ENDED, Options, Paths, clamp_light, limit_at
+from .paths import Options, Paths, clamp_light, has_hit, limit_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -104,7 +104,7 @@ def keep_first_hits(
             split_out.transmission_color[path] = none
             split_out.lamp_share[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
             split_out.path_share[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            if paths.state[path] != ENDED and paths.hit[path][0] != MISS:
+            if has_hit(paths, path):
                 queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 

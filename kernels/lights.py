@@ -260,6 +260,32 @@ def class_total(lights: Lights, normal: wp.vec3) -> float:
     return total
 
 
+@wp.struct
+class ClassChoice:
+    """One of the classes of lights."""
+
+    index: int
+    weight: float
+    """As class_weight has it"""
+    left: float
+    """What is left of the number that chose it, in [0, 1)"""
+
+
+@wp.func
+def choose_class(lights: Lights, total: float, normal: wp.vec3, u: float) -> ClassChoice:
+    """Choose a class by a number in [0, 1); `total` is what class_total returns for `normal`, above 0."""
+    choice = ClassChoice()
+    choice.index = int(0)
+    choice.left = u * total
+    choice.weight = class_weight(lights, 0, normal)
+    while choice.left >= choice.weight and choice.index < lights.class_count - 1:
+        choice.left = choice.left - choice.weight
+        choice.index = choice.index + 1
+        choice.weight = class_weight(lights, choice.index, normal)
+    choice.left = wp.min(choice.left / wp.max(choice.weight, 1.0e-30), BELOW_ONE)
+    return choice
+
+
 @wp.func
 def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, refill: float) -> LightSample:
     """Choose one light and draw a direction to it, see sample_light_of."""
@@ -288,15 +314,10 @@ def sample_light_of(
     s.kind = -1
     if total <= 0.0:
         return s
-    chosen = int(0)
-    left = u[0] * total
-    chance = class_weight(lights, 0, normal)
-    while left >= chance and chosen < lights.class_count - 1:
-        left = left - chance
-        chosen = chosen + 1
-        chance = class_weight(lights, chosen, normal)
-    left = wp.min(left / wp.max(chance, 1.0e-30), BELOW_ONE)
-    chance = chance / total
+    choice = choose_class(lights, total, normal, u[0])
+    chosen = choice.index
+    left = choice.left
+    chance = choice.weight / total
     if chosen == lights.environment_class:
         s.kind = LIGHT_ENVIRONMENT
         s.wi = sample_environment(scene.environment, wp.vec2(left, u[1]))

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3, to_frame
-from .intersect import MISS, offset_origin
+from .geometry_math import clamp3, is_finite3, to_frame
+from .intersect import offset_origin
 from .packing import rgb
-from .paths import ENDED, PENDING_NONE, Paths, hit_point
+from .paths import ENDED, PENDING_NONE, Paths, has_hit, hit_point
 from .sampling import DIMENSION_BSDF, DIMENSION_FIRST_BOUNCE, sample_cosine, sample_pair
 from .types import (
     CLOSURE_DIFFUSE,
@@ -49,9 +49,7 @@ def aim(scene: Scene, distance: float, paths: Paths, path: int):
     if (scene.geometry.instances[point.instance].visibility & HOLDOUT) != 0:
         return
     closure = paths.closure[path]
-    t = closure.transparency
-    alpha = wp.vec3(
-        wp.clamp(1.0 - t[0], 0.0, 1.0), wp.clamp(1.0 - t[1], 0.0, 1.0), wp.clamp(1.0 - t[2], 0.0, 1.0))
+    alpha = clamp3(wp.vec3(1.0, 1.0, 1.0) - closure.transparency)
     u = sample_pair(paths.seed[path], paths.index[path], DIMENSION_FIRST_BOUNCE + DIMENSION_BSDF)
     direction = to_frame(diffuse_normal(closure, point), sample_cosine(u))
     paths.shadow_origin[path] = offset_origin(point.position, point.geometric_normal, point.error, direction)
@@ -79,7 +77,7 @@ def aim_occlusion_rays(
         i = i + stride
         paths_out.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
         paths_out.shadow_distance[path] = 0.0
-        if paths_out.state[path] != ENDED and paths_out.hit[path][0] != MISS:
+        if has_hit(paths_out, path):
             aim(scene, distance, paths_out, path)
         paths_out.state[path] = ENDED
 

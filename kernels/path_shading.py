@@ -170,6 +170,12 @@ def arriving(point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
 
 
 @wp.func
+def candidate_place(place: wp.vec2, number: float) -> wp.vec2:
+    """Return the numbers of one of the light candidates; the passes of light draw them once more."""
+    return wp.vec2(fraction(place[0] + number / float(LIGHT_CANDIDATES)), fraction(place[1] + number * GOLDEN))
+
+
+@wp.func
 def sample_direct_light(
     scene: Scene, point: ShadingPoint, bsdf: Bsdf, refill: float, dimension: int, paths: Paths, path: int,
 ):
@@ -192,10 +198,7 @@ def sample_direct_light(
     classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
-        step = float(k)
-        s = sample_light_of(
-            scene, classes, point.position, side,
-            wp.vec2(fraction(place[0] + step / float(LIGHT_CANDIDATES)), fraction(place[1] + step * GOLDEN)), refill)
+        s = sample_light_of(scene, classes, point.position, side, candidate_place(place, float(k)), refill)
         if s.kind >= 0:
             here = wp.cw_mul(throughput, arriving(point, bsdf, s))
             value = wp.dot(here, scene.luminance) * s.brightness

@@ -10,7 +10,6 @@ R), and the two are averaged: their errors differ. O's share falls with the samp
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -19,7 +18,8 @@ from ...kernels import denoise_guides, denoise_guides_lean, film, materials, pat
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from .. import oidn
-from ..device import launch, run_bands
+from ..device import launch
+from ..history import copy_struct
 from .reference import Band, FilmBuffers, ReferencePass, hit_steps
 from .rest import RestBlend
 from .wavefront import Step, Wavefront
@@ -81,14 +81,8 @@ class FinalDenoise:
             count, options = sum(band.count for band in tracer.bands), self._options[1]
             albedo, normal = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
 
-            def job(band: Band) -> Callable[[], None]:
-                return lambda: find_guides(tracer, band, scene, frame, options, table, wanted, albedo, normal)
-
-            if tracer.cuda:
-                for band in tracer.bands:
-                    job(band)()
-            else:
-                run_bands(job(band) for band in tracer.bands)
+            tracer.each_band(tracer.bands, lambda band: find_guides(
+                tracer, band, scene, frame, options, table, wanted, albedo, normal))
             self._guides, self._guide_samples, self._noiseless = (albedo, normal), wanted, wanted == most
         return self._guides
 
@@ -139,9 +133,7 @@ class FinalDenoise:
 
 def without_roulette(options: Options) -> Options:
     """Return options with which no path ends by chance: guides would be noisy where they look through mirrors."""
-    whole = Options()
-    for name in Options.vars:
-        setattr(whole, name, getattr(options, name))
+    whole = copy_struct(options)
     whole.roulette_start = MIRRORS + 1
     return whole
 
@@ -149,19 +141,14 @@ def without_roulette(options: Options) -> Options:
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
                 samples: int, albedo: wp.array, normal: wp.array) -> None:
     """Add the guides of a band's pixels, means of so many samples, in as few batches as there are path states for."""
-    done = 0
-    slot = tracer.take_slot()
-    try:
-        while done < samples:
-            count = max(1, min(slot.capacity // band.count, samples - done))
-            # After so many rounds no path goes on.
-            slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
-                       (band.first, band.count), (done, count), MIRRORS + 1, lambda: False)
-            launch(denoise_guides.average_guides, band.count,
-                   [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], tracer.device)
-            done += count
-    finally:
-        tracer.give_slot(slot)
+    def trace(slot: Wavefront, done: int, count: int) -> None:
+        # After so many rounds no path goes on.
+        slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
+                   (band.first, band.count), (done, count), MIRRORS + 1, lambda: False)
+        launch(denoise_guides.average_guides, band.count,
+               [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], tracer.device)
+
+    tracer.in_batches(band, 0, samples, trace)
 
 
 def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:

@@ -20,6 +20,7 @@ from ..cryptomatte import DEFAULT_MATERIAL, manifest, matte_ids
 from ..device import launch, run_bands
 from ..device_scene import DeviceScene
 from ..frame_data import frame_row
+from ..history import arrays_of
 from ..pass_names import FIRST_HIT_PASSES, MATTE_KINDS, OCCLUSION, first_hit_channels
 from ..program import Program
 from ..scene import CameraData, FrameMotion, WorldData
@@ -59,7 +60,7 @@ class FirstHits:
     @property
     def arrays(self) -> list[wp.array]:
         """Return what is allocated."""
-        found = [] if self._hits is None else [getattr(self._hits, name) for name in first_hits.FirstHits.vars]
+        found = [] if self._hits is None else arrays_of(self._hits)
         return found + ([] if self.occlusion.light is None else [self.occlusion.light])
 
     def configure(self, names: tuple[str, ...], pixels: int) -> None:

@@ -17,8 +17,8 @@ from ...kernels.light_groups import GroupLight, GroupTables
 from ...kernels.paths import Options, Paths
 from ...kernels.types import Scene
 from ..device import launch
-from ..group_names import GROUP_PREFIX
 from ..lamps import drawn_lamps
+from ..pass_names import GROUP_PREFIX
 from ..report import Report
 from .wavefront import Step
 

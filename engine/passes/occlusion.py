@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import warp as wp
 
 from ...kernels import materials, occlusion, path_lists
 from ...kernels.paths import Options
 from ...kernels.types import Scene
-from ..device import launch, run_bands
+from ..device import launch
+from ..history import copy_struct
 from .reference import Band, ReferencePass, hit_steps, shadow_steps
 from .wavefront import Step, Wavefront
 
@@ -57,40 +56,29 @@ class Occlusion:
                 # The same object each time, for what is recorded with it.
                 self._options = plain_options(options)
 
-            def job(band: Band) -> Callable[[], None]:
-                return lambda: self._trace(tracer, band, scene, frame, table, distance, wanted)
-
-            if tracer.cuda:
-                for band in tracer.bands:
-                    job(band)()
-            else:
-                run_bands(job(band) for band in tracer.bands)
+            tracer.each_band(tracer.bands, lambda band: self._trace(
+                tracer, band, scene, frame, table, distance, wanted))
             self._samples = wanted
         return self.light.numpy() / self._samples
 
     def _trace(self, tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, table: wp.array,
                distance: float, wanted: int) -> None:
         """Bring a band's pixels to so many samples, in as few batches as there are path states for."""
-        done, options = self._samples, self._options
-        slot = tracer.take_slot()
-        try:
-            while done < wanted:
-                count = max(1, min(slot.capacity // band.count, wanted - done))
-                # The first round ends all paths.
-                slot.trace("occlusion", (scene, options), lambda: occlusion_steps(slot, scene, options, distance),
-                           frame, table, (band.first, band.count), (done, count), 1, lambda: False)
-                launch(occlusion.average_occlusion, band.count, [slot.paths, band.first, band.count, count],
-                       [self.light], self.device)
-                done += count
-        finally:
-            tracer.give_slot(slot)
+        options = self._options
+
+        def trace(slot: Wavefront, done: int, count: int) -> None:
+            # The first round ends all paths.
+            slot.trace("occlusion", (scene, options), lambda: occlusion_steps(slot, scene, options, distance),
+                       frame, table, (band.first, band.count), (done, count), 1, lambda: False)
+            launch(occlusion.average_occlusion, band.count, [slot.paths, band.first, band.count, count],
+                   [self.light], self.device)
+
+        tracer.in_batches(band, self._samples, wanted, trace)
 
 
 def plain_options(options: Options) -> Options:
     """Return options with which light is neither clamped nor kept for other passes."""
-    plain = Options()
-    for name in Options.vars:
-        setattr(plain, name, getattr(options, name))
+    plain = copy_struct(options)
     plain.clamp_direct = plain.clamp_indirect = 0.0
     plain.passes = 0
     return plain

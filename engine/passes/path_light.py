@@ -16,7 +16,7 @@ from ...kernels.light_groups import GroupLight
 from ...kernels.light_split import LightSplit
 from ...kernels.paths import Options, Paths
 from ...kernels.types import Scene
-from ..group_names import GROUP_PREFIX
+from ..pass_names import GROUP_PREFIX
 from . import light_split
 from .composite import LIGHT_PASSES
 from .light_groups import GroupFilm, SceneGroups, make_group_light

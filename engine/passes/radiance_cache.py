@@ -41,7 +41,7 @@ from ...kernels.types import Closure, Scene
 from ..debug_views import DEBUG_VIEWS
 from ..device import launch
 from ..frame_graph import FrameGraph
-from ..history import arrays_of
+from ..history import arrays_of, copy_struct
 from ..settings import CacheKey, CacheSettings
 from ..shadow_rays import make_options
 from ..structures import is_flat
@@ -380,9 +380,7 @@ class RadianceCachePass:
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` into `picture`, vec4 a pixel; record() must have got the G-buffer."""
-        grid = HashGrid()
-        for field in HashGrid.vars:
-            setattr(grid, field, getattr(self.grid, field))
+        grid = copy_struct(self.grid)
         grid.level_blend = 0
         graph.launch(
             cache_debug.draw_cache, self.width * self.height,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -185,6 +186,28 @@ class ReferencePass:
         with self.lock:
             self.slots.append(slot)
 
+    def each_band(self, bands: list[Band], work: Callable[[Band], None]) -> None:
+        """Do some work for each of these bands: one after the other on CUDA, on all cores on the processor."""
+        if self.cuda:
+            for band in bands:
+                work(band)
+        else:
+            run_bands(partial(work, band) for band in bands)
+
+    def in_batches(self, band: Band, first: int, last: int, trace: Callable[[Wavefront, int, int], None]) -> None:
+        """Trace a band's samples `first` to `last` - 1, as many at a time as there are path states for.
+
+        `trace` is called with states, the first sample and the number of samples of each batch.
+        """
+        slot = self.take_slot()
+        try:
+            while first < last:
+                count = max(1, min(slot.capacity // band.count, last - first))
+                trace(slot, first, count)
+                first += count
+        finally:
+            self.give_slot(slot)
+
     def render(
         self, scene: Scene, frame: np.ndarray, options: Options, filter_table: wp.array, buffers: FilmBuffers,
         target: int, should_stop: Callable[[], bool],
@@ -204,17 +227,12 @@ class ReferencePass:
             low = self.samples_done
             if low >= target or should_stop():
                 return
-            behind = [band for band in self.bands if band.samples == low]
-            if self.cuda:
-                for band in behind:
-                    count = max(1, min(self.capacity // band.count, target - low, 64))
-                    self._trace_band(band, count, scene, frame, options, filter_table, buffers, should_stop)
-            else:
-                def job(band: Band) -> Callable[[], None]:
-                    return lambda: self._trace_band(
-                        band, 1, scene, frame, options, filter_table, buffers, should_stop)
-
-                run_bands(job(band) for band in behind)
+            most = min(target - low, 64) if self.cuda else 1
+            self.each_band(
+                [band for band in self.bands if band.samples == low],
+                lambda band, most=most: self._trace_band(
+                    band, max(1, min(self.capacity // band.count, most)), scene, frame, options, filter_table, buffers,
+                    should_stop))
 
     def _trace_band(
         self, band: Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
