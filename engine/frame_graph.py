@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from .device import record, run_bands, thread_count
+from .graph_priority import keep_priorities, make_stream
 from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList, one_number
 
 __all__ = ["FrameGraph"]
@@ -38,6 +39,9 @@ LISTS = 64
 TRUNK = ""
 """Name of what is on no branch"""
 
+TRUNK_LEVEL = 2
+"""Its level, beside those of branches"""
+
 
 @dataclass
 class _Step:
@@ -53,6 +57,8 @@ class _Step:
     branch: str = TRUNK
     after: str | None = None
     """No launch: the branch waits for all that this one holds so far"""
+    slots: tuple[int, int, int] | None = None
+    """Of arrays with so many elements (the last) it touches those from the first on, so many (the second)"""
 
     def run(self) -> None:
         if self.action is not None:
@@ -80,7 +86,9 @@ class FrameGraph:
         self._lists = 0
         self._section = ""
         self._branch = TRUNK
-        self._open: set[str] = set()
+        self._slots: tuple[int, int, int] | None = None
+        self._open: dict[str, int] = {}
+        """Branches and their levels"""
         self._graph: wp.Graph | None = None
 
     @contextmanager
@@ -93,16 +101,25 @@ class FrameGraph:
             self._section = outer
 
     @contextmanager
-    def branch(self, name: str) -> Iterator[None]:
+    def slots(self, first: int, count: int, total: int) -> Iterator[None]:
+        """Note that the launches inside touch `count` elements, from `first` on, of arrays that have `total`."""
+        outer, self._slots = self._slots, (first, count, total)
+        try:
+            yield
+        finally:
+            self._slots = outer
+
+    @contextmanager
+    def branch(self, name: str, *, level: int = 0) -> Iterator[None]:
         """Put the launches inside on a branch: they come after all before them, and those after them need not wait.
 
         What reads their results, or writes what they read, comes after `join`. A branch that is entered again goes on
-        where it was.
+        where it was. Kernels of a higher `level` begin first (graph_priority.py).
         """
         outer = self._branch
         self._wait(name, outer)
         self._branch = name
-        self._open.add(name)
+        self._open[name] = level
         try:
             yield
         finally:
@@ -123,14 +140,18 @@ class FrameGraph:
         self.skipped[name] = reason
 
     def _step(self, kernel: str, reads: list, writes: list) -> _Step:
-        return _Step(self._section, kernel=kernel, reads=tuple(reads), writes=tuple(writes), branch=self._branch)
+        return _Step(
+            self._section, kernel=kernel, reads=tuple(reads), writes=tuple(writes), branch=self._branch,
+            slots=self._slots)
 
-    def launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True) -> None:
-        """Record a launch of `count` threads; a banded kernel's first argument (`first`) is added here."""
+    def launch(
+        self, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True, start: int = 0,
+    ) -> None:
+        """Record a launch of `count` threads; a banded kernel's first argument (`first`), from `start` on, is added."""
         step = self._step(kernel.key, inputs, outputs)
         for low, high in self._bands(count if banded else 0) or [(0, count)]:
             step.launches.append(record(
-                kernel, [low, *inputs] if banded else inputs, outputs, self.device, high - low))
+                kernel, [start + low, *inputs] if banded else inputs, outputs, self.device, high - low))
         self._steps.append(step)
 
     def launch_queued(self, kernel: wp.Kernel, inputs: list, queue: wp.array, outputs: list) -> None:
@@ -213,9 +234,10 @@ class FrameGraph:
 
     def _capture(self) -> wp.Graph:
         """Capture the steps, each branch on a stream of its own: what streams wait for become the graph's edges."""
-        streams = {name: wp.Stream(self.device) for name in self._open}
-        with wp.ScopedCapture(self.device, force_module_load=False) as capture:
-            trunk = streams[TRUNK] = wp.get_stream(self.device)
+        levels = {TRUNK: TRUNK_LEVEL, **self._open}
+        streams = {name: make_stream(self.device, level) for name, level in levels.items()}
+        trunk = streams[TRUNK]
+        with wp.ScopedCapture(stream=trunk, force_module_load=False) as capture:
             for step in self._steps:
                 if step.after is not None:
                     streams[step.branch].wait_stream(streams[step.after])
@@ -224,6 +246,7 @@ class FrameGraph:
                         step.run()
             for name in self._open:
                 trunk.wait_stream(streams[name])
+        keep_priorities(capture.graph)
         return capture.graph
 
     def _replay_timed(self) -> None:

@@ -23,7 +23,7 @@ from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_graph import FrameGraph
 from .motion import MotionTracker
-from .passes.cache_spreading import light_sweeps
+from .passes.cache_spreading import LightPhase, light_phase
 from .passes.composite import CompositePass
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
@@ -38,6 +38,12 @@ from .settings import RenderSettings
 from .view_data import ViewTracker
 
 __all__ = ["Pipeline"]
+
+PREPARATION, REPROJECTION, DIRECT = "preparation", "reprojection", "direct light"
+"""Branches of the graph, besides the passes' own"""
+
+RAYS_LEVEL = 1
+"""Of rays that reflections wait for: after the probes' chain, before direct light, which has the shortest way to go"""
 
 
 class Pipeline:
@@ -59,7 +65,7 @@ class Pipeline:
         self._parity = 0
         self._graph: FrameGraph | None = None
         self._settings: RenderSettings | None = None
-        self._graphs: dict[tuple[int, bool, bool], tuple[FrameGraph, wp.array, list]] = {}
+        self._graphs: dict[tuple[int, bool, LightPhase], tuple[FrameGraph, wp.array, list]] = {}
         self._recorded_for = b""
         self.records = 0
         """Frames that were recorded so far: such a frame takes longer than those that follow"""
@@ -142,7 +148,7 @@ class Pipeline:
         # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
         # of their own.
         key = (views.parity, self._settings.denoiser.rest_gather and views.rest > 0,
-               light_sweeps(views.frame, views.light_age))
+               light_phase(views.frame, views.light_age, moved=views.moved))
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
             self.records += 1
@@ -218,21 +224,35 @@ class Pipeline:
         graph.skip("final gather", "something moves" if self._settings.denoiser.rest_gather else "switched off")
         return []
 
+    def _needs_direct(self, graph: FrameGraph, scene: DeviceScene) -> bool:
+        """Return whether anything is sampled as a light; black stands for direct light where nothing is."""
+        if has_lights(scene.scene, self.split):
+            self._prepare(self.direct, self.direct_denoise)
+            return True
+        self._leave_out(
+            graph, "direct light", "the scene has no lamps, emitters or sun", self.direct, self.direct_denoise)
+        if self._black is None:
+            self._black = DirectLight()
+            for name in ("diffuse", "specular"):
+                setattr(self._black, name, wp.full(
+                    self._size[0] * self._size[1], wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h, device=self.device))
+        return False
+
+    def _record_filter(
+        self, graph: FrameGraph, parity: int, views: wp.array, surfaces: GBuffer, traced: ReflectionPass,
+    ) -> wp.array:
+        """Record denoising the samples of reflections or refraction; return their mean."""
+        filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
+        with graph.section(f"{traced.title} denoising"):
+            return filters[traced].record(
+                graph, parity, views, surfaces, self.gbuffer.previous(parity), self.gbuffer.reprojection,
+                traced.options, traced.samples, jitter=self._settings.reflections.jitter)
+
     def _record_direct(
         self, graph: FrameGraph, parity: int, scene: DeviceScene, views: wp.array, surfaces: GBuffer,
     ) -> DirectLight:
-        """Record direct light and its filter; black without launches where nothing is sampled as a light."""
-        if not has_lights(scene.scene, self.split):
-            self._leave_out(
-                graph, "direct light", "the scene has no lamps, emitters or sun", self.direct, self.direct_denoise)
-            if self._black is None:
-                self._black = DirectLight()
-                for name in ("diffuse", "specular"):
-                    setattr(self._black, name, wp.full(
-                        self._size[0] * self._size[1], wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h,
-                        device=self.device))
-            return self._black
-        self._prepare(self.direct, self.direct_denoise)
+        """Record direct light and its filter."""
+        graph.join(REPROJECTION)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         direct = self.direct.record(
             graph, parity, scene.scene, views, surfaces, before, reprojection, self.split,
@@ -259,64 +279,80 @@ class Pipeline:
                 graph.skip(name, reason)
 
     def _record(
-        self, parity: int, resting: bool, sweeping: bool, scene: DeviceScene, views: wp.array, motion: Motion,
+        self, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene, views: wp.array, motion: Motion,
     ) -> tuple[FrameGraph, wp.array, list]:
         """Record a frame: the method in its order.
 
-        With `resting` pixels gather indirect light themselves, with `sweeping` it goes on from cell to cell at once.
+        With `resting` pixels gather indirect light themselves.
         """
         self._recorded = []
         self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
         graph, kernels_scene = FrameGraph(self.device), scene.scene
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         lean = scene.material_table.lean
+        # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
+        # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
+        lit = self._needs_direct(graph, scene)
+        with graph.branch(PREPARATION):
+            self.cache.record_start(graph, views, phase)
+            if lit:
+                self.direct.record_emitters(graph, kernels_scene, scene.local_power)
+        smallest = smallest_cell(self._settings.cache, scene.radius)
+        cache_scene = {
+            "threshold": self.split.threshold, "filtered": filtered, "programs": programs, "all_lean": lean.flat,
+            "lean_layers": lean.transparency, "world": scene.world_texels}
+        self.cache.record_pending(
+            graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
-            graph, parity, kernels_scene, views, motion, filtered=filtered, all_lean=lean.surface,
+            graph, parity, kernels_scene, views, filtered=filtered, all_lean=lean.surface,
             lean_layers=lean.transparency)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
-        # Branches run side by side: direct light, each kind of reflection ray up to the cache, the probes' rays.
-        with graph.branch("direct light"):
-            direct = self._record_direct(graph, parity, scene, views, surfaces)
-        smallest = smallest_cell(self._settings.cache, scene.radius)
+        with graph.branch(REPROJECTION):
+            self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)
+        graph.join(PREPARATION)
         color = self.composite.color.previous(parity)
         traced = self._reflecting(graph, scene)
         gathering = self._gathering(graph, resting)
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS,
-            self.cache.deterministic)
+            self.cache.deterministic, self.cache.is_settled(phase))
         self._note_absent(graph, scene, what)
-        self.cache.record_start(graph, views)
         branches: tuple[str, ...] = ()
         for each in traced + gathering:
-            with graph.branch(each.name):
+            with graph.branch(each.name, level=RAYS_LEVEL):
                 each.record_rays(
                     graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
+        with graph.branch(DIRECT):
+            direct = self._record_direct(graph, parity, scene, views, surfaces) if lit else self._black
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         self.cache.record(
-            graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, threshold=self.split.threshold,
-            filtered=filtered, programs=programs, gbuffer=surfaces, all_lean=lean.flat, lean_layers=lean.transparency,
-            world=scene.world_texels, started=True, after=branches, sweeping=sweeping)
-        indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
-        filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
+            graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, gbuffer=surfaces, started=True,
+            after=branches, phase=phase, **cache_scene)
+        graph.join(REPROJECTION)
         shown = {}
         for each in traced:
-            with graph.branch(each.name):
-                samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
-                with graph.section(f"{each.title} denoising"):
-                    shown[each] = filters[each].record(
-                        graph, parity, views, surfaces, before, reprojection, each.options, samples,
-                        jitter=self._settings.reflections.jitter)
+            with graph.branch(each.name, level=RAYS_LEVEL):
+                each.record_samples(graph, views, self.cache.grid)
+                if not each.asks_probes:
+                    shown[each] = self._record_filter(graph, parity, views, surfaces, each)
+        indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
+        for each in traced:
+            if each.asks_probes:
+                with graph.branch(each.name, level=RAYS_LEVEL):
+                    each.record_look_ups(graph, views, surfaces, self.probes)
+                    shown[each] = self._record_filter(graph, parity, views, surfaces, each)
         with graph.section("Diffuse denoising"):
             indirect = self.diffuse_denoise.record(graph, parity, views, surfaces, before, reprojection, indirect)
         gathered = None
         for each in gathering:
-            samples = each.record_samples(graph, views, surfaces, self.cache.grid, self.probes)
+            graph.join(each.name)
+            each.record_samples(graph, views, self.cache.grid)
             with graph.section(f"{each.title} denoising"):
                 gathered = self.rest_gather.record(
-                    graph, parity, views, surfaces, before, reprojection, each.options, samples, indirect)
-        graph.join("direct light", *branches)
+                    graph, parity, views, surfaces, before, reprojection, each.options, each.samples, indirect)
+        graph.join(DIRECT, *branches)
         with graph.section("Composite"):
             picture = self.composite.record(
                 graph, parity, views, surfaces, reprojection, direct, indirect,

@@ -167,12 +167,16 @@ def accumulate_light(
     views: wp.array[View],
     paths: Paths,
     vertices: Vertices,
+    offset: int,
     count: int,
     # Out:
     grid_out: HashGrid,
 ):
-    """Add the samples of direct light at all hits, and those of indirect light at the bounce rays' sources."""
-    slot = wp.tid()
+    """Add the samples of direct light at the hits from slot `offset` on, and of indirect light at bounces' sources.
+
+    Rays from slot `count` on are bounces.
+    """
+    slot = offset + wp.tid()
     cell = vertices.cell[slot]
     if cell != NO_CELL:
         light = paths.radiance[slot]

@@ -152,17 +152,21 @@ def start_bounces(
     bounces: int,
     settled: int,
     filtered: int,
+    late: int,
     # Out:
     paths_out: Paths,
     vertices_out: Vertices,
+    pending_out: wp.array[int],
 ):
     """Send a ray on from some of the hits, or from where the same slot's ray ended in the frame before.
 
-    While light spreads all `bounces` slots have one, later `settled` of them.
+    While light spreads all `bounces` slots have one, later `settled` of them. `late` 1: the next frame traces them.
     """
     bounce = first + wp.tid()
     slot = count + bounce
     view = views[0]
+    if bounce == 0:
+        pending_out[0] = wp.where(late == 1, view.frame + 1, 0)
     active = bounces
     if settling_frames(view) >= SPREADING_FRAMES:
         active = settled
@@ -205,6 +209,25 @@ def start_bounces(
     paths_out.pdf[slot] = wp.max(wp.dot(normal, direction), 0.0) * share * INV_PI
     if filtered == 1:
         start_layers(paths_out, slot, view.frame)
+
+
+@wp.kernel
+def resume_bounces(
+    first: int,
+    # In:
+    views: wp.array[View],
+    pending: wp.array[int],
+    count: int,
+    # Out:
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Drop bounce rays that the frame before has not left for this one; those of an older one have been traced."""
+    bounce = first + wp.tid()
+    if pending[0] != views[0].frame:
+        paths_out.state[count + bounce] = ENDED
+        paths_out.t[count + bounce] = 0.0
+        vertices_out.source[bounce] = NO_CELL
 
 
 @wp.kernel

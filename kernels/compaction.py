@@ -51,12 +51,13 @@ def append_layered_paths(
 def append_layered_shadows(
     # In:
     paths: Paths,
+    offset: int,
     # Out:
     queue_out: wp.array[int],
     count_out: wp.array[int],
 ):
-    """Append the shadow rays that a triangle that needs a test stands in the way of."""
-    path = wp.tid()
+    """Append the shadow rays, from slot `offset` on, that a triangle that needs a test stands in the way of."""
+    path = offset + wp.tid()
     if has_shadow_layers(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
@@ -65,12 +66,13 @@ def append_layered_shadows(
 def append_pending_shadows(
     # In:
     paths: Paths,
+    offset: int,
     # Out:
     queue_out: wp.array[int],
     count_out: wp.array[int],
 ):
-    """Append the shadow rays that got through to a light whose radiance is a program."""
-    path = wp.tid()
+    """Append the shadow rays, from slot `offset` on, that got through to a light whose radiance is a program."""
+    path = offset + wp.tid()
     if waits_for_program(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
 

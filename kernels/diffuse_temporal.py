@@ -29,7 +29,7 @@ from .long_mean import (
 )
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
-from .reprojection import Reprojection, has_tap, tap_pixel
+from .reprojection import Reprojection, has_tap, known_taps, tap_pixel
 from .view import SKY_DEPTH, View, settled_length
 from .wide_loads import load_view, load_word
 
@@ -220,7 +220,7 @@ def accumulate_diffuse(
     m = unknown_light()
     # Read before it is known whether there is a surface: they wait for memory together.
     position = reprojection.position[pixel]
-    taps = reprojection.taps[pixel]
+    taps = known_taps(reprojection, pixel)
     new = unpack_halves(irradiance[pixel])
     if gbuffer.depth[pixel] < SKY_DEPTH:
         if view.restart == 0:

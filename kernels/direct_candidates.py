@@ -28,7 +28,7 @@ from .direct_reservoir import (
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, has_surface, load_surface
 from .light_candidate import choose, light_classes, replay
-from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
+from .reprojection import Reprojection, has_tap, known_taps, tap_pixel, tap_weight
 from .sampling import fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
@@ -170,7 +170,7 @@ def choose_tap(
     view: View, reprojection: Reprojection, previous: Reservoirs, width: int, pixel: int, random: float,
 ) -> int:
     """Return a pixel of the frame before that shows the same surface and drew samples; -1 for none."""
-    taps = reprojection.taps[pixel]
+    taps = known_taps(reprojection, pixel)
     if view.restart == 1 or view.light_age == 0 or taps == wp.uint8(0):
         return -1
     position = reprojection.position[pixel]

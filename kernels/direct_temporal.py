@@ -37,7 +37,7 @@ from .long_mean import (
 )
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
-from .reprojection import Reprojection, has_tap, tap_pixel
+from .reprojection import Reprojection, has_tap, known_taps, tap_pixel
 from .view import SKY_DEPTH, View
 from .wide_loads import load_view, load_word
 
@@ -240,7 +240,7 @@ def accumulate_direct(
     m = empty_mean()
     # Read before it is known whether there is a surface: they wait for memory together.
     position = reprojection.position[pixel]
-    taps = reprojection.taps[pixel]
+    taps = known_taps(reprojection, pixel)
     d = unpack_halves(diffuse[pixel])
     s = unpack_halves(specular[pixel])
     if gbuffer.depth[pixel] < SKY_DEPTH:

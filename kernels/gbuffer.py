@@ -17,8 +17,6 @@ from .view import SKY_DEPTH, View, direction_to_eye, film_position, previous_fil
 SURFACE_EMITS = wp.constant(wp.uint32(1 << 24))
 SURFACE_TRANSLUCENT = wp.constant(wp.uint32(1 << 25))
 """`translucent` holds a colour"""
-SURFACE_MOVED = wp.constant(wp.uint32(1 << 26))
-"""The surface itself has moved or deformed since the frame before"""
 SURFACE_BACKFACING = wp.constant(wp.uint32(1 << 27))
 SURFACE_BRIGHT = wp.constant(wp.uint32(1 << 28))
 """`f0` is stored as a quarter and the reflectance at grazing angles as half: energy compensation lifts rough metals
@@ -63,8 +61,6 @@ class GBuffer:
     """Coat's directional albedo (unorm16) | its perceptual roughness (unorm16) << 16; where SURFACE_COATED is set"""
     emission: wp.array[wp.vec4h]
     """Emitted radiance * exposure (of the world where nothing is hit); w = alpha of the pixel"""
-    motion: wp.array[wp.vec2]
-    """Film position of this surface point in this frame minus that in the frame before [px], jitter left out"""
 
 
 @wp.struct

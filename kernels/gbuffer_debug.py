@@ -67,6 +67,7 @@ def draw_gbuffer(
     first: int,
     gbuffer: GBuffer,
     reprojection: Reprojection,
+    width: int,
     what: int,
     # Out:
     picture_out: wp.array[wp.vec4],
@@ -77,7 +78,8 @@ def draw_gbuffer(
     if gbuffer.hit[pixel][0] != MISS:
         c = surface_color(gbuffer, pixel, what)
     if what == GBUFFER_MOTION:
-        motion = gbuffer.motion[pixel] / (2.0 * MOTION_RANGE)
+        centre = wp.vec2(float(pixel % width) + 0.5, float(pixel // width) + 0.5)
+        motion = (centre - reprojection.position[pixel]) / (2.0 * MOTION_RANGE)
         c = wp.vec3(wp.clamp(0.5 + motion[0], 0.0, 1.0), wp.clamp(0.5 + motion[1], 0.0, 1.0), 0.5)
     if what == GBUFFER_DISOCCLUSION:
         missing = missing_history(reprojection, pixel)

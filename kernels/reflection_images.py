@@ -10,10 +10,10 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_weights import squared_cosine, unit_normal
-from .gbuffer import SURFACE_MOVED, GBuffer
+from .gbuffer import GBuffer
 from .long_mean import TAP_MINIMUM
 from .reflection_types import SAMPLE_FAR
-from .reprojection import Reprojection, has_tap, tap_pixel, tap_weight
+from .reprojection import Reprojection, has_moved, has_tap, tap_pixel, tap_weight
 from .view import (
     SKY_DEPTH,
     View,
@@ -42,6 +42,8 @@ class MirrorBefore:
     """Shading normal, turned to the same side as this frame's"""
     plane_normal: wp.vec3
     """Geometric normal; zero where nothing is known"""
+    moved: int
+    """1: it has moved itself"""
 
 
 @wp.func
@@ -51,12 +53,13 @@ def mirror_before(
     """Return where a pixel's surface was; of one that has moved as the frame before shows it around its place."""
     out = MirrorBefore()
     view = load_previous_view(views)
-    if (gbuffer.material[pixel] & SURFACE_MOVED) == wp.uint32(0):
+    if not has_moved(reprojection, pixel):
         out.position = unproject(
             view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
         out.normal = unit_normal(gbuffer.normal[pixel])
         out.plane_normal = unit_normal(gbuffer.geometric_normal[pixel])
         return out
+    out.moved = 1
     place = reprojection.position[pixel]
     total = float(0.0)
     tap = int(0)
@@ -95,7 +98,7 @@ def image_position(
     distance = wp.min(1.0 / wp.max(closeness, 1.0e-9), SAMPLE_FAR)
     image = point - to_eye * distance
     now = project(view.camera, image)
-    if (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0):
+    if before.moved == 1:
         normal = unit_normal(gbuffer.normal[pixel])
         seen = point + (normal * (2.0 * wp.dot(normal, to_eye)) - to_eye) * distance
         image = seen - before.normal * (2.0 * wp.dot(before.normal, seen - before.position))

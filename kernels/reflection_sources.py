@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_weights import squared_cosine
-from .gbuffer import SURFACE_MOVED, GBuffer
+from .gbuffer import GBuffer
 from .geometry_math import max_component
 from .long_mean import (
     ALL_TAPS,
@@ -29,7 +29,7 @@ from .packing import rgb
 from .reflection_blocks import ReflectionHistory, light_strength
 from .reflection_images import MirrorBefore, image_position, image_stretch, mirror_before
 from .reflection_types import LOBE_REFLECTION, SAMPLE_FAR, ReflectionOptions, fading
-from .reprojection import Reprojection, has_tap, tap_pixel
+from .reprojection import Reprojection, has_moved, has_tap, known_taps, tap_pixel
 from .view import (
     SKY_DEPTH,
     View,
@@ -217,7 +217,7 @@ def gather_sources(
     """
     width = options.width
     position = reprojection.position[pixel]
-    taps = reprojection.taps[pixel]
+    taps = known_taps(reprojection, pixel)
     prefer = fading(roughness, VIRTUAL_ROUGHNESS, VIRTUAL_BLEND)
     smooth = fading(roughness, DISTANCE_ROUGHNESS, DISTANCE_BLEND)
     reflects = options.lobe == LOBE_REFLECTION
@@ -226,7 +226,7 @@ def gather_sources(
     # At rest both places are one. Of a mirror that moved and was not seen before nothing is known, nor how glass that
     # moves bends light.
     twofold = views[0].rest == 0 and prefer > 0.0
-    if (gbuffer.material[pixel] & SURFACE_MOVED) != wp.uint32(0) and (taps == wp.uint8(0) or not reflects):
+    if has_moved(reprojection, pixel) and (taps == wp.uint8(0) or not reflects):
         twofold = False
     sharp = roughness < SHARP_ROUGHNESS
     surface = gather_reflection(history, previous, position, taps, pixel, sharp, width, options.height)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import (
-    SURFACE_MOVED,
     GBuffer,
     Surface,
     barycentrics_of,
@@ -17,7 +16,7 @@ from .gbuffer import (
 )
 from .geometry_math import is_finite3, sqr
 from .motion import Motion, previous_point
-from .reprojection import Reprojection, tap_pixel
+from .reprojection import MOVED, Reprojection, tap_pixel
 from .types import Scene
 from .view import (
     View,
@@ -88,29 +87,30 @@ def reproject(
     motion: Motion,
     width: int,
     height: int,
+    gbuffer: GBuffer,
     previous: GBuffer,
     # Out:
-    gbuffer_out: GBuffer,
     reprojection_out: Reprojection,
 ):
-    """Write a pixel's motion, its place in the frame before and the taps there that show the same surface."""
+    """Write a pixel's place in the frame before and the taps there that show the same surface."""
     pixel = first + wp.tid()
     view = load_previous_view(views)
     x = pixel % width
     y = pixel // width
-    surface = load_surface(view, gbuffer_out, width, pixel)
+    surface = load_surface(view, gbuffer, width, pixel)
     tolerance = plane_tolerance(view, surface)
     change = wp.vec2(0.0, 0.0)
+    taps = int(0)
     if not has_surface(surface):
         if view.rest == 0:
             change = world_motion(view, x, y)
     elif view.rest == 0 or motion.moved[0] != 0:
         now = project(view.camera, surface.position)
         if motion.moved[0] != 0:
-            hit = gbuffer_out.hit[pixel]
-            was = previous_point(scene.geometry, motion, hit[0], hit[1], barycentrics_of(gbuffer_out, pixel))
+            hit = gbuffer.hit[pixel]
+            was = previous_point(scene.geometry, motion, hit[0], hit[1], barycentrics_of(gbuffer, pixel))
             if was.moved == 1 and is_finite3(was.displacement):
-                gbuffer_out.material[pixel] = gbuffer_out.material[pixel] | SURFACE_MOVED
+                taps = int(MOVED)
                 surface.position = surface.position + was.displacement
                 if wp.dot(was.now_normal, surface.geometric_normal) < 0.0:
                     was.normal = -was.normal
@@ -118,11 +118,9 @@ def reproject(
         change = film_motion(now, project(view.previous, surface.position))
     if view.restart == 1:
         change = wp.vec2(0.0, 0.0)
-    store_vec2(gbuffer_out.motion, pixel, change)
     position = wp.vec2(
         float(x + view.camera.crop_x - view.previous.crop_x) + 0.5 - change[0],
         float(y + view.camera.crop_y - view.previous.crop_y) + 0.5 - change[1])
-    taps = int(0)
     if view.restart == 0:
         left = int(wp.floor(position[0] - 0.5))
         bottom = int(wp.floor(position[1] - 0.5))

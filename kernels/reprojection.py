@@ -15,7 +15,23 @@ class Reprojection:
     centre at (i + 0.5, j + 0.5)"""
     taps: wp.array[wp.uint8]
     """Bits 0..3: which of the 2x2 pixels around `position` show the same surface, in the order (0, 0), (1, 0),
-    (0, 1), (1, 1) from floor(position - 0.5); 0 = the surface has just come into view"""
+    (0, 1), (1, 1) from floor(position - 0.5); none: the surface has just come into view. MOVED"""
+
+
+# Reprojection.taps of a surface that has moved itself, since the frame before.
+MOVED = wp.constant(wp.uint8(1 << 4))
+
+
+@wp.func
+def known_taps(reprojection: Reprojection, pixel: int) -> wp.uint8:
+    """Return the bits of the taps that show a pixel's surface."""
+    return reprojection.taps[pixel] & (MOVED - wp.uint8(1))
+
+
+@wp.func
+def has_moved(reprojection: Reprojection, pixel: int) -> bool:
+    """Return whether a pixel's surface has moved itself."""
+    return (reprojection.taps[pixel] & MOVED) != wp.uint8(0)
 
 
 @wp.func

@@ -14,6 +14,7 @@ from burnish.engine.settings import PerformanceSettings
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels.gbuffer import GBuffer, SurfaceMaterial, load_material, load_surface
 from burnish.kernels.packing import unpack_normal
+from burnish.kernels.reprojection import MOVED
 from burnish.kernels.view import View
 
 from tests import scenes
@@ -72,7 +73,8 @@ class GBufferFrames:
         if graph is None:
             graph = FrameGraph(self.device)
             self.gbuffer_pass.record(
-                graph, parity, scene, self.views.array, motion, filtered=self.scene.structures.has_filtered)
+                graph, parity, scene, self.views.array, filtered=self.scene.structures.has_filtered)
+            self.gbuffer_pass.record_reprojection(graph, parity, scene, self.views.array, motion)
             if self.graphs is not None:
                 self.graphs[key] = graph
         graph.replay()
@@ -88,10 +90,13 @@ class GBufferFrames:
         fields = {name: array.numpy() for name, array in zip(names, outputs, strict=True)}
         material = fields.pop("material")
         fields |= {name: material[name] for name in material.dtype.names}
-        for name in ("hit", "depth", "emission", "motion"):
+        for name in ("hit", "depth", "emission"):
             fields[name] = getattr(gbuffer, name).numpy()
-        fields["taps"] = self.gbuffer_pass.reprojection.taps.numpy()
+        taps = self.gbuffer_pass.reprojection.taps.numpy()
+        fields["taps"], fields["moved"] = taps & 15, taps & int(MOVED)
         fields["before"] = self.gbuffer_pass.reprojection.position.numpy()
+        pixels = np.arange(count)
+        fields["motion"] = np.stack([pixels % self.width, pixels // self.width], 1) + 0.5 - fields["before"]
         # On the processor these are views of buffers that later frames write.
         return {name: values.copy().reshape(*shape, *values.shape[1:]) for name, values in fields.items()}
 

@@ -26,7 +26,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 BUFFERS = {"hit": wp.vec2i, "barycentrics": wp.uint32, "depth": wp.float32, "geometric_normal": wp.uint32,
            "normal": wp.uint32, "diffuse": wp.uint32, "specular": wp.uint32, "f0": wp.uint32, "material": wp.uint32,
-           "translucent": wp.uint32, "emission": wp.vec4h, "motion": wp.vec2}
+           "translucent": wp.uint32, "emission": wp.vec4h}
 
 
 @wp.struct

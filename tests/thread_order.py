@@ -75,11 +75,12 @@ def backwards() -> Iterator[list[str]]:
 
     def launch_backwards(
         self: FrameGraph, kernel: wp.Kernel, count: int, inputs: list, outputs: list, *, banded: bool = True,
+        start: int = 0,
     ) -> None:
         if not banded and count > 1:
             used.append(kernel.key)
             kernel = reversed_copy(kernel, count)
-        launch(self, kernel, count, inputs, outputs, banded=banded)
+        launch(self, kernel, count, inputs, outputs, banded=banded, start=start)
 
     def launch_in_list_order(self: FrameGraph, *arguments: Any, **options: Any) -> None:
         # Their elements' order is that of the list, which was filled backwards.

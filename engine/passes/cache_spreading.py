@@ -3,24 +3,55 @@
 
 from __future__ import annotations
 
+import enum
+
 import warp as wp
 
-from ...kernels import cache_spread
+from ...kernels import cache_cells, cache_spread
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
 from ...kernels.hash_grid import HashGrid
 from ...kernels.paths import Paths
 from ..frame_graph import FrameGraph
 
-__all__ = ["SWEEPS", "light_sweeps", "record_spreading"]
+__all__ = ["SWEEPS", "LightPhase", "light_phase", "record_coarse_cells", "record_spreading"]
 
 SWEEPS = 6
 """Times that light goes on from cell to cell in a frame while it spreads: what is left after them the balance mends"""
 
 
-def light_sweeps(frame: int, light_age: int) -> bool:
-    """Tell whether light goes on from cell to cell within a frame, as cache_spread.sweeping does (View's counters)."""
-    return min(light_age, frame) < float(cache_spread.SWEEP_FRAMES)
+SETTLED = int(cache_cells.REBALANCE_FRAMES) + 1
+"""Frames after which the balance has left the cells alone for one frame"""
+
+
+class LightPhase(enum.Enum):
+    """How far light has spread since the first frame or the last edit of light."""
+
+    SWEEPING = "sweeping"
+    """It goes on from cell to cell within a frame."""
+    SPREADING = "spreading"
+    """It takes a frame for each bounce; cells are kept in balance."""
+    SETTLED = "settled"
+    """Cells are means of many frames."""
+
+
+def light_phase(frame: int, light_age: int, *, moved: bool) -> LightPhase:
+    """Return the phase of a frame, by View's counters; as cache_spread.sweeping and REBALANCE_FRAMES.
+
+    Where something but the camera has `moved` light counts as still spreading: bounce rays of the frame before would
+    start where surfaces were.
+    """
+    age = min(light_age, frame)
+    if age < float(cache_spread.SWEEP_FRAMES):
+        return LightPhase.SWEEPING
+    return LightPhase.SPREADING if age < SETTLED or moved else LightPhase.SETTLED
+
+
+def record_coarse_cells(
+    graph: FrameGraph, views: wp.array, grid: HashGrid, control: CacheControl, vertices: Vertices, bounces: int,
+) -> None:
+    """Record making the coarse cells about the bounce rays' sources; sums up the balance while there is one."""
+    graph.launch(cache_spread.balance_bounces, bounces, [views], [grid, control, vertices], banded=False)
 
 
 def record_spreading(
@@ -39,9 +70,9 @@ def record_spreading(
         count: Probe rays: slots before those of the bounce rays.
         bounces: Slots of bounce rays.
         sample_cap: Most samples that a cell averages over while something moves.
-        all_bounces: Whether cells light each other, and in frames that may sweep at all (light_sweeps).
+        all_bounces: Whether cells light each other, and in frames that may sweep at all (LightPhase.SWEEPING).
     """
-    graph.launch(cache_spread.balance_bounces, bounces, [views], [grid, control, vertices], banded=False)
+    record_coarse_cells(graph, views, grid, control, vertices, bounces)
     graph.launch(cache_spread.measure_balance, 1, [views, 0], [control], banded=False)
     if not all_bounces:
         return

@@ -122,6 +122,15 @@ class DirectLightPass:
         """Forget all history."""
         self.reservoirs.reset()
 
+    def record_emitters(self, graph: FrameGraph, scene: Scene, local_power: float) -> None:
+        """Add the launch that packs emissive triangles for `record`, which it comes before; arguments as there."""
+        emitters = scene.lights.tree.places.shape[0] - scene.lights.local_lamp_count if local_power > 0.0 else 0
+        if self._emitters.shape[0] != max(emitters, 1) * int(EMITTER_WORDS):
+            self._emitters = wp.zeros(max(emitters, 1) * int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
+        if emitters > 0:
+            with graph.section("Direct light"):
+                graph.launch(direct_emitters.bake_emitters, emitters, [scene, local_power], [self._emitters])
+
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
@@ -157,7 +166,7 @@ class DirectLightPass:
             self._make_rays(filtered=filtered, programs=textured)
             options = self._options(light_count(scene, split, local_power))
             self._record_samples(
-                graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options, local_power)
+                graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
             flat = is_flat(scene)
             trace = flat_tracing.trace_flat_shadows if flat else direct_shadow.trace_direct_shadows
@@ -169,7 +178,7 @@ class DirectLightPass:
                 else:
                     graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.rays])
                 if lean_layers:
-                    graph.fill_list(compaction.append_layered_shadows, self.slots, [self.rays], self.layered)
+                    graph.fill_list(compaction.append_layered_shadows, self.slots, [self.rays, 0], self.layered)
                     graph.launch_listed(
                         shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.rays], few=True)
                 else:
@@ -186,15 +195,9 @@ class DirectLightPass:
     def _record_samples(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, options: DirectOptions,
-        local_power: float,
     ) -> None:
         """Add the launches that choose a light for each pixel and aim at it; arguments as of `record`."""
         now, before = self.reservoirs.current(parity), self.reservoirs.previous(parity)
-        emitters = scene.lights.tree.places.shape[0] - scene.lights.local_lamp_count if local_power > 0.0 else 0
-        if self._emitters.shape[0] != max(emitters, 1) * int(EMITTER_WORDS):
-            self._emitters = wp.zeros(max(emitters, 1) * int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
-        if emitters > 0:
-            graph.launch(direct_emitters.bake_emitters, emitters, [scene, local_power], [self._emitters])
         graph.launch(
             direct_candidates.resample_lights, self.slots,
             [views, scene, split, self._emitters, options, gbuffer], [now, self.lent])

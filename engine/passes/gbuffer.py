@@ -33,7 +33,7 @@ __all__ = ["GBufferPass"]
 GBUFFER_ARRAYS = {
     "hit": wp.vec2i, "barycentrics": wp.uint32, "depth": wp.float32, "geometric_normal": wp.uint32,
     "normal": wp.uint32, "diffuse": wp.uint32, "specular": wp.uint32, "f0": wp.uint32, "material": wp.uint32,
-    "translucent": wp.uint32, "transmitted": wp.uint32, "coat": wp.uint32, "emission": wp.vec4h, "motion": wp.vec2,
+    "translucent": wp.uint32, "transmitted": wp.uint32, "coat": wp.uint32, "emission": wp.vec4h,
 }
 
 DEBUG_CHANNELS = {
@@ -95,17 +95,16 @@ class GBufferPass:
         return self.history.previous(parity)
 
     def record(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, motion: Motion, *, filtered: bool = True,
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, *, filtered: bool = True,
         all_lean: bool = False, lean_layers: bool = False,
     ) -> GBuffer:
-        """Record the G-buffer of a frame and its reprojection.
+        """Record the G-buffer of a frame.
 
         Args:
             graph: What to add to.
             parity: 0 for even frames, 1 for odd ones.
             scene: The scene.
             views: One element.
-            motion: As from MotionTracker.
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
@@ -133,11 +132,17 @@ class GBufferPass:
                     few=True)
             if scene.lights.lamp_count > 0:
                 graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, int(filtered), hits], [gbuffer])
+        return gbuffer
+
+    def record_reprojection(
+        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, motion: Motion,
+    ) -> None:
+        """Record finding the pixels' surfaces in the frame before; arguments as of `record`."""
         with graph.section("Reprojection"):
             graph.launch(
-                reproject.reproject, count, [views, scene, motion, width, self.height, self.previous(parity)],
-                [gbuffer, self.reprojection])
-        return gbuffer
+                reproject.reproject, self.width * self.height,
+                [views, scene, motion, self.width, self.height, self.current(parity), self.previous(parity)],
+                [self.reprojection])
 
     def _record_layers(self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool) -> None:
         """Record looking through the layers in front of what pixels show."""
@@ -158,4 +163,4 @@ class GBufferPass:
         """Record drawing one of `debug_views` into `picture`, vec4 a pixel."""
         graph.launch(
             gbuffer_debug.draw_gbuffer, self.width * self.height,
-            [self.current(parity), self.reprojection, int(DEBUG_CHANNELS[name])], [picture])
+            [self.current(parity), self.reprojection, self.width, int(DEBUG_CHANNELS[name])], [picture])

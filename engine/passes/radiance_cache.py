@@ -19,15 +19,12 @@ from ...kernels import (
     cache_lean,
     cache_lights,
     cache_materials,
-    cache_programs,
     cache_rays,
     cache_shade,
     compaction,
     flat_tracing,
     layers,
     layers_lean,
-    shadow_layers,
-    shadow_layers_lean,
     tracing,
 )
 from ...kernels.cache_cells import CacheControl
@@ -37,53 +34,42 @@ from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
 from ...kernels.paths import Paths
 from ...kernels.probe_rays import ProbeRays
-from ...kernels.types import Closure, Scene
+from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
-from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
 from ..settings import CacheKey, CacheSettings
-from ..shadow_rays import make_options
 from ..structures import is_flat
-from ..work_list import make_queue, make_work_list, one_number
-from .cache_spreading import record_spreading
+from ..work_list import make_queue, make_work_list
+from .cache_buffers import (
+    BOUNCE_ARRAYS,
+    CELL_ARRAYS,
+    COUNTERS,
+    LAYER_ARRAYS,
+    RAY_ARRAYS,
+    UNUSED_ARRAYS,
+    VERTEX_ARRAYS,
+    count_rays,
+    record_insertion,
+    record_shadow_rays,
+    record_sums,
+    threads_race,
+)
+from .cache_spreading import LightPhase, record_coarse_cells, record_spreading
 
-__all__ = ["RadianceCachePass", "count_rays", "record_insertion", "smallest_cell"]
+__all__ = ["RadianceCachePass", "smallest_cell"]
+
+BOUNCES = "bounces"
+"""Branch of the graph on which light goes from cell to cell while it need not be waited for"""
+
+BOUNCES_LEVEL = 1
+"""Its level: what comes after the primary rays, beside which it runs, may have to wait for it"""
 
 SMALLEST_CELL = 0.1
 """Metres: the published minimum, for rooms"""
 
 CELLS_ACROSS = 500.0
 """Least number of smallest cells along a scene's diagonal"""
-
-RAY_ARRAYS = {
-    "state": int, "origin": wp.vec3, "direction": wp.vec3, "t": float, "hit": wp.vec2i, "barycentrics": wp.vec2,
-    "radiance": wp.vec4, "pdf": float, "shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float,
-    "shadow_light": wp.vec3, "shadow_pending": int, "shadow_emitter": wp.vec2i, "shadow_barycentrics": wp.vec2,
-}
-LAYER_ARRAYS = {
-    "seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2, "overruns": int,
-    "layer_t": float, "layer": wp.vec2i, "layer_barycentrics": wp.vec2,
-}
-"""For scenes with triangles that need a test per hit"""
-UNUSED_ARRAYS = {
-    "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
-    "surface_emission": wp.vec3, "environment": wp.vec3,
-}
-"""Of the path tracer's states"""
-
-VERTEX_ARRAYS = {
-    "position": wp.vec4, "geometric_normal": wp.uint32, "normal": wp.uint32, "reflectance": wp.vec4,
-    "emission": wp.vec4, "cell": int,
-}
-BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3, "around": int,
-                 "beyond": int}
-
-CELL_ARRAYS = {
-    "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
-    "touched": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
-}
-"""Type and entries a cell"""
 
 DEBUG_CHANNELS = {
     "cache.cells": cache_debug.CACHE_CELLS,
@@ -92,45 +78,12 @@ DEBUG_CHANNELS = {
     "cache.samples": cache_debug.CACHE_SAMPLES,
 }
 
-COUNTERS = {
-    "rays": cache_cells.COUNT_RAYS, "bounce rays": cache_cells.COUNT_BOUNCES,
-    "shadow rays": cache_cells.COUNT_SHADOWS, "cells failed": cache_cells.COUNT_FAILED,
-    "hits": cache_cells.COUNT_HITS, "hits without indirect light": cache_cells.COUNT_UNKNOWN,
-}
-
 
 def smallest_cell(settings: CacheSettings, radius: float) -> float:
     """Return the smallest cell [m] for a scene whose bounds have half a diagonal of `radius` [m]."""
     if settings.minimum_cell > 0.0:
         return settings.minimum_cell
     return min(SMALLEST_CELL, 2.0 * radius / CELLS_ACROSS)
-
-
-def count_rays(paths: Paths, vertices: Vertices, grid: HashGrid, count: int, control: CacheControl) -> np.ndarray:
-    """Return the last frame's counts, by cache_cells.COUNT_*; `count` rays are no bounces. Waits for the device."""
-    control.counters.zero_()
-    launch(cache_cells.count_rays, len(paths.state), [paths, vertices, grid, count], [control],
-           str(control.counters.device))
-    return control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
-
-
-def threads_race(device: str) -> bool:
-    """Return whether the threads of a launch with atomics come in an order that differs from run to run."""
-    return wp.get_device(device).is_cuda
-
-
-def record_insertion(
-    graph: FrameGraph, views: wp.array, paths: Paths, vertices: Vertices, grid: HashGrid, offset: int, count: int, *,
-    deterministic: bool,
-) -> None:
-    """Record finding or making the cells of `count` hits from slot `offset` on.
-
-    With `deterministic` which cells find room, and where, depends on their keys alone (cache_claim.py).
-    """
-    if deterministic:
-        graph.launch(cache_claim.claim_vertices, count, [views, paths, vertices, offset], [grid], banded=False)
-        graph.launch(cache_claim.settle_cells, len(grid.keys), [], [grid], banded=False)
-    graph.launch(cache_cells.insert_vertices, count, [views, paths, offset], [grid, vertices], banded=False)
 
 
 class RadianceCachePass:
@@ -148,9 +101,11 @@ class RadianceCachePass:
         control = CacheControl()
         control.age, control.live = self._zeros(1, int), self._zeros(1, int)
         control.balance = self._zeros(2 * int(cache_cells.LANES) * 9, wp.int64)
-        control.factors = self._zeros(2, wp.vec3)
+        control.factors = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
         control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
         self.control = control
+        self.pending = self._zeros(1, int)
+        """Frame that has started bounce rays for the next one, plus one"""
         self.count = self.bounces = self.settled = -1
         self._layers = False
         self._views: wp.array | None = None
@@ -182,6 +137,7 @@ class RadianceCachePass:
         for buffers in (self.grid, self.control):
             for array in arrays_of(buffers):
                 array.zero_()
+        self.control.factors.fill_(wp.vec3(1.0, 1.0, 1.0))
         if self.count >= 0:
             self.vertices.cell.fill_(int(NO_CELL))
 
@@ -221,7 +177,8 @@ class RadianceCachePass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, rays: ProbeRays, count: int, *,
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
-        world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (), sweeping: bool = True,
+        world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
+        phase: LightPhase = LightPhase.SWEEPING,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -242,40 +199,78 @@ class RadianceCachePass:
             world: The world's radiance by texels, where it is known (DeviceScene.world_texels).
             started: Whether record_start has been called, as it must be before anything makes cells.
             after: Branches of the graph that add cells and samples.
-            sweeping: Whether light may spread within these frames (light_sweeps).
+            phase: How far light has spread in these frames.
         """
         self._all_lean, self._lean_layers = all_lean, lean_layers
         self._world = self._zeros(1, wp.vec3) if world is None else world
         self._fit(count, filtered)
         self.grid.minimum = minimum_cell
+        settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
-        with graph.section("Cache rays"):
-            graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
-            self._record_hits(graph, scene, 0, count)
-        self._record_materials(graph, scene, views, 0, count, threshold)
-        # Others may make cells and add samples while this goes on, unless their order is to be fixed.
-        if self.deterministic:
-            graph.join(*after)
-        if not started:
-            self.record_start(graph, views)
-        self._record_insertion(graph, views, 0, count)
+        with graph.slots(0, count, count + self.bounces):
+            with graph.section("Cache rays"):
+                graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
+                self._record_hits(graph, scene, 0, count)
+            self._record_materials(graph, scene, views, 0, count, threshold)
+            # Others may make cells and add samples while this goes on, unless their order is to be fixed.
+            if self.deterministic:
+                graph.join(*after)
+            if not started:
+                self.record_start(graph, views, phase)
+            self._record_insertion(graph, views, 0, count)
+        graph.join(BOUNCES)
         if self.bounces > 0:
             with graph.section("Cache bounces"):
                 graph.launch(
                     cache_rays.start_bounces, self.bounces,
-                    [views, self.grid, count, self.bounces, self.settled, int(filtered)],
-                    [self.paths, self.vertices])
-                self._record_hits(graph, scene, count, self.bounces)
-            self._record_materials(graph, scene, views, count, self.bounces, threshold)
-            self._record_insertion(graph, views, count, self.bounces)
-        self._record_lights(graph, scene, views, programs)
-        self._record_cells(graph, views, rays, after, sweeping)
+                    [views, self.grid, count, self.bounces, self.settled, int(filtered), int(settled)],
+                    [self.paths, self.vertices, self.pending])
+            if not settled:
+                self._record_bounces(graph, scene, views, threshold)
+        self._record_lights(graph, scene, views, programs, 0, count if settled else count + self.bounces)
+        self._record_cells(graph, views, rays, after, phase)
 
-    def record_start(self, graph: FrameGraph, views: wp.array) -> None:
+    def record_pending(
+        self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, threshold: float,
+        filtered: bool, programs: bool, all_lean: bool, lean_layers: bool, world: wp.array, after: str,
+    ) -> None:
+        """Record following the bounce rays of the frame before, in settled frames: they are not waited for in theirs.
+
+        Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; other
+        arguments as of `record`.
+        """
+        self._all_lean, self._lean_layers, self._world = all_lean, lean_layers, world
+        self._fit(count, filtered)
+        if self.bounces == 0 or not self.is_settled(phase):
+            return
+        with graph.branch(BOUNCES, level=BOUNCES_LEVEL), graph.slots(count, self.bounces, count + self.bounces):
+            graph.join(after)
+            with graph.section("Cache bounces"):
+                graph.launch(
+                    cache_rays.resume_bounces, self.bounces, [views, self.pending, count], [self.paths, self.vertices])
+            self._record_bounces(graph, scene, views, threshold)
+            self._record_lights(graph, scene, views, programs, count, self.bounces)
+            with graph.section("Cache cells"):
+                self._record_gathering(graph, views)
+                record_coarse_cells(graph, views, self.grid, self.control, self.vertices, self.bounces)
+                self._record_sums(graph, views, count, self.bounces)
+
+    def is_settled(self, phase: LightPhase) -> bool:
+        """Return whether cells take the light of bounce rays and of other passes' hits in the frame after.
+
+        What they hold is a mean of many frames by then, and nobody has to wait for these rays.
+        """
+        return phase is LightPhase.SETTLED and not self.deterministic
+
+    def record_start(self, graph: FrameGraph, views: wp.array, phase: LightPhase) -> None:
         """Record making room for a frame's cells; a frame that goes on with `record`."""
         share = int(cache_cells.PURGE_SHARE)
         with graph.section("Cache cells"):
-            graph.clear(self.control.balance)
+            if phase is LightPhase.SWEEPING:
+                # Settled frames leave samples for the next one, which an edit of light has made obsolete.
+                graph.clear(self.grid.sums, self.grid.counts)
+            if not self.is_settled(phase):
+                graph.clear(self.control.balance)
             graph.launch(
                 cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
                 [self.grid, self.control], banded=False)
@@ -319,9 +314,17 @@ class RadianceCachePass:
             record_insertion(
                 graph, views, self.paths, self.vertices, self.grid, offset, count, deterministic=self.deterministic)
 
-    def _record_lights(self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool) -> None:
-        """Record direct light at all hits."""
-        total = self.count + self.bounces
+    def _record_bounces(self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float) -> None:
+        """Record following bounce rays that have been started, up to their hits' cells."""
+        with graph.section("Cache bounces"):
+            self._record_hits(graph, scene, self.count, self.bounces)
+        self._record_materials(graph, scene, views, self.count, self.bounces, threshold)
+        self._record_insertion(graph, views, self.count, self.bounces)
+
+    def _record_lights(
+        self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool, offset: int, count: int,
+    ) -> None:
+        """Record direct light at the hits of `count` rays from slot `offset` on."""
         if scene.lights.class_count == 0:
             # Black samples: nothing else writes them.
             self.paths.radiance.zero_()
@@ -329,38 +332,27 @@ class RadianceCachePass:
             return
         with graph.section("Cache lights"):
             graph.launch(
-                cache_lights.choose_cache_lights, total, [views, scene, self._world, self.vertices, self.grid.weighed],
-                [self.paths])
+                cache_lights.choose_cache_lights, count, [views, scene, self._world, self.vertices, self.grid.weighed],
+                [self.paths], start=offset)
         with graph.section("Cache shadow rays"):
-            flat = is_flat(scene)
-            trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
-            graph.launch(trace, total, [scene, int(self._layers)], [self.paths])
-            if self._layers:
-                shadows = [scene, make_options(filtered=True), one_number(1, self.device)]
-                if flat:
-                    graph.launch(flat_tracing.trace_flat_shadow_layers, total, shadows, [self.paths])
-                else:
-                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.paths])
-                if self._lean_layers:
-                    graph.fill_list(compaction.append_layered_shadows, total, [self.paths], self.layered)
-                    graph.launch_listed(
-                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.paths], few=True)
-                else:
-                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.paths])
-            if programs:
-                graph.fill_list(compaction.append_pending_shadows, total, [self.paths], self.left)
-                graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [self.paths])
+            record_shadow_rays(
+                graph, scene, self.paths, offset, count, self.queue, self.layered, self.left, filtered=self._layers,
+                lean_layers=self._lean_layers, programs=programs)
 
     def _record_cells(
-        self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], sweeping: bool,
+        self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,
     ) -> None:
         """Record taking the light into the cells, and the answer."""
         grid, control, settings = self.grid, self.control, self.settings
+        sweeping, settled = phase is LightPhase.SWEEPING, self.is_settled(phase)
         with graph.section("Cache cells"):
+            if settled:
+                with graph.slots(0, self.count, self.count + self.bounces):
+                    self._record_sums(graph, views, 0, self.count)
+                    self._record_answer(graph, views, rays)
+                return
             if self.bounces > 0:
-                graph.launch(
-                    cache_shade.gather_bounces, self.bounces,
-                    [views, grid, self.paths, self.count, int(settings.bounces != 2)], [self.vertices])
+                self._record_gathering(graph, views)
             if self.deterministic and self.bounces > 0:
                 graph.launch(cache_claim.claim_coarse, self.bounces, [self.vertices], [grid], banded=False)
                 graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
@@ -368,15 +360,25 @@ class RadianceCachePass:
                 record_spreading(
                     graph, views, grid, control, self.paths, self.vertices, self.count, self.bounces,
                     float(settings.sample_cap), all_bounces=sweeping and settings.bounces != 2)
-            graph.launch(
-                cache_cells.accumulate_light, self.count + self.bounces,
-                [views, self.paths, self.vertices, self.count], [grid], banded=False)
+            self._record_sums(graph, views, 0, self.count + self.bounces)
             graph.join(*after)
-            graph.launch(
-                cache_cells.update_cells, self.capacity, [views, float(settings.sample_cap)], [grid, control])
-            graph.launch(
-                cache_shade.resolve_rays, self.count,
-                [views, grid, self.paths, self.vertices, int(settings.cone_test)], [rays])
+            self._record_answer(graph, views, rays)
+
+    def _record_gathering(self, graph: FrameGraph, views: wp.array) -> None:
+        graph.launch(
+            cache_shade.gather_bounces, self.bounces,
+            [views, self.grid, self.paths, self.count, int(self.settings.bounces != 2)], [self.vertices])
+
+    def _record_sums(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
+        record_sums(graph, views, self.paths, self.vertices, self.grid, offset, count, self.count)
+
+    def _record_answer(self, graph: FrameGraph, views: wp.array, rays: ProbeRays) -> None:
+        grid, settings = self.grid, self.settings
+        graph.launch(
+            cache_cells.update_cells, self.capacity, [views, float(settings.sample_cap)], [grid, self.control])
+        graph.launch(
+            cache_shade.resolve_rays, self.count,
+            [views, grid, self.paths, self.vertices, int(settings.cone_test)], [rays])
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` into `picture`, vec4 a pixel; record() must have got the G-buffer."""

@@ -14,7 +14,6 @@ import warp as wp
 
 from ...kernels import (
     cache_cells,
-    cache_programs,
     cache_rays,
     compaction,
     flat_tracing,
@@ -34,8 +33,6 @@ from ...kernels import (
     reflection_start,
     reflection_tail,
     reflection_trace,
-    shadow_layers,
-    shadow_layers_lean,
     tracing,
 )
 from ...kernels.cache_cells import CacheControl
@@ -57,10 +54,9 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..settings import ReflectionResolution, ReflectionSettings
-from ..shadow_rays import make_options
 from ..structures import is_flat
-from ..work_list import WorkList, make_queue, make_work_list, one_number
-from .radiance_cache import (
+from ..work_list import WorkList, make_queue, make_work_list
+from .cache_buffers import (
     BOUNCE_ARRAYS,
     LAYER_ARRAYS,
     RAY_ARRAYS,
@@ -68,6 +64,8 @@ from .radiance_cache import (
     VERTEX_ARRAYS,
     count_rays,
     record_insertion,
+    record_shadow_rays,
+    record_sums,
 )
 from .screen_probes import ScreenProbePass
 
@@ -125,6 +123,8 @@ class RayScene:
     """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
     deterministic: bool = False
     """Whether frames shall be the same in every run"""
+    settled: bool = False
+    """Whether cells take the light of the rays' hits in the frame after (RadianceCachePass.is_settled)"""
 
     @property
     def needs_full(self) -> bool:
@@ -249,6 +249,9 @@ class ReflectionPass:
                  previous_color], [rays, paths, vertices])
         if self.settings.hit_lighting:
             self._record_lights(graph, views, what, grid)
+        self._late = self.settings.hit_lighting and what.settled
+        if self.settings.hit_lighting and not self._late:
+            self._record_sums(graph, views, grid)
 
     def _record_near_hits(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
         """Record following rays from near hits further: over as many surfaces as there are segments."""
@@ -331,11 +334,11 @@ class ReflectionPass:
             # Black samples: nothing else writes them.
             paths.radiance.zero_()
             paths.shadow_distance.zero_()
+
+    def _record_sums(self, graph: FrameGraph, views: wp.array, grid: HashGrid) -> None:
+        """Record adding the hits' light to their cells: all are hits of rays, none of bounces."""
         with graph.section(self._section("hits")):
-            # All are hits of rays, none of bounces; the cells' means take the sums in when the cache is recorded.
-            graph.launch(
-                cache_cells.accumulate_light, blocks, [views, paths, vertices, blocks], [grid],
-                banded=False)
+            record_sums(graph, views, self.paths, self.vertices, grid, 0, self.blocks, self.blocks)
 
     def _record_shadows(self, graph: FrameGraph, what: RayScene, grid: HashGrid) -> None:
         """Record choosing a light for each hit, and its shadow ray."""
@@ -346,37 +349,31 @@ class ReflectionPass:
                 reflection_choice.choose_reflection_lights, blocks,
                 [scene, what.world, grid, self.rays, candidates], [paths, vertices])
         with graph.section(self._section("shadow rays")):
-            flat = is_flat(scene)
-            trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
-            graph.launch(trace, blocks, [scene, int(what.filtered)], [paths])
-            if what.filtered:
-                shadows = [scene, make_options(filtered=True), one_number(1, self.device)]
-                if flat:
-                    graph.launch(flat_tracing.trace_flat_shadow_layers, blocks, shadows, [paths])
-                else:
-                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [paths])
-                if what.lean_layers:
-                    graph.fill_list(compaction.append_layered_shadows, blocks, [paths], self.layered)
-                    graph.launch_listed(
-                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [paths], few=True)
-                else:
-                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [paths])
-            if what.programs:
-                graph.fill_list(compaction.append_pending_shadows, blocks, [paths], self.left)
-                graph.launch_listed(cache_programs.finish_cache_lights, [scene], self.left, [paths])
+            record_shadow_rays(
+                graph, scene, paths, 0, blocks, self.queue, self.layered, self.left, filtered=what.filtered,
+                lean_layers=what.lean_layers, programs=what.programs)
 
-    def record_samples(
-        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, grid: HashGrid, probes: ScreenProbePass,
-    ) -> ReflectionSamples:
-        """Record finishing the samples, once the cache and the probes are up to date; returns them."""
+    @property
+    def asks_probes(self) -> bool:
+        """Whether samples come from the screen probes too (record_look_ups)."""
+        return self.lobe == int(LOBE_REFLECTION)
+
+    def record_samples(self, graph: FrameGraph, views: wp.array, grid: HashGrid) -> None:
+        """Record finishing the traced samples, once the cache is up to date."""
+        if self._late:
+            self._record_sums(graph, views, grid)
         with graph.section(self._section("samples")):
             graph.launch(
                 reflection_resolve.resolve_reflections, self.blocks,
                 [views, self.options, grid, int(self.settings.hit_lighting), int(self.settings.jitter), self.paths,
                  self.vertices], [self.rays, self.samples])
-            if self.lobe == int(LOBE_REFLECTION):
-                probes.record_look_ups(graph, views, gbuffer, self.options, self.rays.source, self.samples)
-        return self.samples
+
+    def record_look_ups(
+        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, probes: ScreenProbePass,
+    ) -> None:
+        """Record asking the probes for the samples that are not traced, once their light is up to date."""
+        with graph.section(self._section("samples")):
+            probes.record_look_ups(graph, views, gbuffer, self.options, self.rays.source, self.samples)
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` of this frame into `picture`, vec4 a pixel; comes after the samples."""

@@ -125,6 +125,11 @@ class ScreenProbePass:
             setattr(buffers, name, wp.zeros(count * each, dtype=dtype, device=self.device))
         return buffers
 
+    @property
+    def rays_a_frame(self) -> int:
+        """Slots of rays in a frame."""
+        return self.update_count * CELLS
+
     def reset(self) -> None:
         """Forget all probes."""
         self.pool.used.zero_()
@@ -153,7 +158,7 @@ class ScreenProbePass:
             graph.launch(spawn.list_empty, self.tile_count, [], [tiles], banded=False)
             graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
                          [updates])
-        count = self.update_count * CELLS
+        count = self.rays_a_frame
         with graph.section("Probe rays"):
             graph.launch(probe_gather.gather_history, count, [grid, views, tiles, pool, self.cosines], [updates])
             graph.launch(probe_gather.count_history, self.update_count, [grid, views, tiles, pool], [updates])

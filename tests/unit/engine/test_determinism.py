@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine import device as device_module
+from burnish.engine.passes.cache_spreading import LightPhase
 from burnish.engine.scene import SceneDelta
 from burnish.engine.session import Session
 from burnish.engine.settings import (
@@ -142,7 +143,7 @@ def test_option_costs_nothing_on_the_processor():
         made.update(room())
         made.configure(settings, camera(0.0), *SIZE)
         made.step(1)
-        graph = made._realtime.pipeline._graphs[0, False, True][0]
+        graph = made._realtime.pipeline._graphs[0, False, LightPhase.SWEEPING][0]
         launches[deterministic] = [step.kernel for step in graph._steps]
     assert len(launches[True]) > 40
     assert launches[True] == launches[False]

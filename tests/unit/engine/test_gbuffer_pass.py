@@ -245,7 +245,7 @@ def test_motion_of_an_object():
     ball = picture["hit"][..., 0] == 1
     np.testing.assert_allclose(picture["motion"][ball], np.broadcast_to((4.0, 2.0), (ball.sum(), 2)), atol=2e-4)
     assert (np.abs(picture["motion"][~ball]) < 1e-5).all()
-    flags = picture["flags"] & int(gbuffer.SURFACE_MOVED)
+    flags = picture["moved"]
     assert (flags[ball] != 0).all() and (flags[~ball] == 0).all()
     # The pixels at the ball's centre find it there; the plane does not take the ball for itself.
     assert picture["taps"][20, 20] == 15
@@ -254,7 +254,7 @@ def test_motion_of_an_object():
     uncovered = ~ball & was
     assert uncovered.sum() > 10 and (picture["taps"][uncovered] == 0).all()
     still = frames.shot(camera)
-    assert (still["motion"] == 0).all() and (still["flags"] & int(gbuffer.SURFACE_MOVED) == 0).all()
+    assert (still["motion"] == 0).all() and (still["moved"] == 0).all()
 
 
 def test_motion_of_a_deforming_mesh():

@@ -331,7 +331,7 @@ def test_debug_views(device):
     for name, dtype in (("hit", wp.vec2i), ("barycentrics", wp.uint32), ("depth", float),
                         ("geometric_normal", wp.uint32), ("normal", wp.uint32), ("diffuse", wp.uint32),
                         ("specular", wp.uint32), ("f0", wp.uint32), ("material", wp.uint32),
-                        ("translucent", wp.uint32), ("emission", wp.vec4h), ("motion", wp.vec2)):
+                        ("translucent", wp.uint32), ("emission", wp.vec4h)):
         setattr(gbuffer, name, wp.zeros(64, dtype=dtype, device=device))
     depth = np.full(64, 1.5, np.float32)
     depth[:8] = 1e18

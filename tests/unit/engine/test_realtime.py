@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from burnish.engine.debug_views import DEBUG_VIEWS
+from burnish.engine.passes.cache_spreading import LightPhase
 from burnish.engine.passes.composite import LIGHT_PASSES
 from burnish.engine.scene import LightKind, SceneDelta
 from burnish.engine.session import Session
@@ -53,7 +54,7 @@ def session(settings=REALTIME, delta=None):
 def graphs_of(made):
     """Return the recorded frames."""
     graphs = made._realtime.pipeline._graphs
-    return [graphs.get((parity, resting, sweeping)) for sweeping in (False, True) for resting in (False, True)
+    return [graphs.get((parity, resting, phase)) for phase in LightPhase for resting in (False, True)
             for parity in (0, 1)]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.passes.cache_spreading import SWEEPS
+from burnish.engine.passes.cache_spreading import SWEEPS, LightPhase
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import MaterialData, SceneDelta, WorldData
 from burnish.engine.session import Session
@@ -206,8 +206,8 @@ def test_matte_scenes_have_fewer_launches():
     everything = room(glass(0.0))
     everything.materials["floor"] = scenes.transparent(0.3, "GLOSSY", color=0.5, roughness=0.2)
     counts = [
-        sum(bool(step.launches) for step in open_session(delta)._realtime.pipeline._graphs[0, False, True][0]._steps)
-        for delta in (room(lights=()), everything)]
+        sum(bool(step.launches) for step in graphs[0, False, LightPhase.SWEEPING][0]._steps)
+        for graphs in (open_session(delta)._realtime.pipeline._graphs for delta in (room(lights=()), everything))]
     assert counts[0] < 0.5 * counts[1], counts
 
 

@@ -11,7 +11,7 @@ import warp as wp
 from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
-from burnish.engine.passes.radiance_cache import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
+from burnish.engine.passes.cache_buffers import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
 from burnish.engine.shadow_rays import make_options
 from burnish.engine.structures import is_flat
 from burnish.engine.work_list import LISTED_THREADS, ONCE, make_queue, make_work_list, one_number
@@ -144,7 +144,7 @@ def test_shadow_rays_pass_layers_alike(scene, listed):
     before = [scene.scene, options, one_number(1, device)]
     met = (full.layer.numpy()[:, 0] != int(MISS)) & (full.shadow_distance.numpy() != 0)
     wp.launch(shadow_layers.weaken_shadow_rays, COUNT, [*before, *every(queue)], [full], device=device, block_dim=64)
-    found = run_listed(device, compaction.append_layered_shadows, [lean], shadow_layers_lean.weaken_shadow_rays_lean,
+    found = run_listed(device, compaction.append_layered_shadows, [lean, 0], shadow_layers_lean.weaken_shadow_rays_lean,
                        before, lean, listed)
     assert 0.1 < met.mean() < 0.6 and found == (COUNT if not listed and device == "cpu" else met.sum())
     light = full.radiance.numpy()[:, 0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine.frame_data import frame_row
-from burnish.engine.passes.radiance_cache import CELL_ARRAYS
+from burnish.engine.passes.cache_buffers import CELL_ARRAYS
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels.cache_cells import FIXED_ONE, REBALANCE_FRAMES, CacheControl, update_cells
 from burnish.kernels.hash_grid import BUCKET, HashGrid

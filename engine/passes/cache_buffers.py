@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buffers of the radiance cache, and of other passes whose rays put their hits into it; what both do with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ...kernels import (
+    cache_cells,
+    cache_claim,
+    cache_programs,
+    cache_rays,
+    compaction,
+    flat_tracing,
+    shadow_layers,
+    shadow_layers_lean,
+    tracing,
+)
+from ...kernels.cache_cells import CacheControl
+from ...kernels.cache_rays import Vertices
+from ...kernels.hash_grid import HashGrid
+from ...kernels.paths import Paths
+from ...kernels.types import Closure, Scene
+from ..device import launch
+from ..frame_graph import FrameGraph
+from ..shadow_rays import make_options
+from ..structures import is_flat
+from ..work_list import WorkList, one_number
+
+__all__ = ["count_rays", "record_insertion", "record_shadow_rays", "record_sums", "threads_race"]
+
+RAY_ARRAYS = {
+    "state": int, "origin": wp.vec3, "direction": wp.vec3, "t": float, "hit": wp.vec2i, "barycentrics": wp.vec2,
+    "radiance": wp.vec4, "pdf": float, "shadow_origin": wp.vec3, "shadow_direction": wp.vec3, "shadow_distance": float,
+    "shadow_light": wp.vec3, "shadow_pending": int, "shadow_emitter": wp.vec2i, "shadow_barycentrics": wp.vec2,
+}
+LAYER_ARRAYS = {
+    "seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2, "overruns": int,
+    "layer_t": float, "layer": wp.vec2i, "layer_barycentrics": wp.vec2,
+}
+"""For scenes with triangles that need a test per hit"""
+UNUSED_ARRAYS = {
+    "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
+    "surface_emission": wp.vec3, "environment": wp.vec3,
+}
+"""Of the path tracer's states"""
+
+VERTEX_ARRAYS = {
+    "position": wp.vec4, "geometric_normal": wp.uint32, "normal": wp.uint32, "reflectance": wp.vec4,
+    "emission": wp.vec4, "cell": int,
+}
+BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3, "around": int,
+                 "beyond": int}
+
+CELL_ARRAYS = {
+    "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
+    "touched": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
+}
+"""Type and entries a cell"""
+
+COUNTERS = {
+    "rays": cache_cells.COUNT_RAYS, "bounce rays": cache_cells.COUNT_BOUNCES,
+    "shadow rays": cache_cells.COUNT_SHADOWS, "cells failed": cache_cells.COUNT_FAILED,
+    "hits": cache_cells.COUNT_HITS, "hits without indirect light": cache_cells.COUNT_UNKNOWN,
+}
+"""Statistics and their places in count_rays"""
+
+
+def count_rays(paths: Paths, vertices: Vertices, grid: HashGrid, count: int, control: CacheControl) -> np.ndarray:
+    """Return the last frame's counts, by cache_cells.COUNT_*; `count` rays are no bounces. Waits for the device."""
+    control.counters.zero_()
+    launch(cache_cells.count_rays, len(paths.state), [paths, vertices, grid, count], [control],
+           str(control.counters.device))
+    return control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
+
+
+def threads_race(device: str) -> bool:
+    """Return whether the threads of a launch with atomics come in an order that differs from run to run."""
+    return wp.get_device(device).is_cuda
+
+
+def record_insertion(
+    graph: FrameGraph, views: wp.array, paths: Paths, vertices: Vertices, grid: HashGrid, offset: int, count: int, *,
+    deterministic: bool,
+) -> None:
+    """Record finding or making the cells of `count` hits from slot `offset` on.
+
+    With `deterministic` which cells find room, and where, depends on their keys alone (cache_claim.py).
+    """
+    if deterministic:
+        graph.launch(cache_claim.claim_vertices, count, [views, paths, vertices, offset], [grid], banded=False)
+        graph.launch(cache_claim.settle_cells, len(grid.keys), [], [grid], banded=False)
+    graph.launch(cache_cells.insert_vertices, count, [views, paths, offset], [grid, vertices], banded=False)
+
+
+def record_sums(
+    graph: FrameGraph, views: wp.array, paths: Paths, vertices: Vertices, grid: HashGrid, offset: int, count: int,
+    bounces: int,
+) -> None:
+    """Record adding the light of `count` hits from slot `offset` on to their cells, for the next update_cells.
+
+    Slots from `bounces` on are bounce rays, whose sources get theirs.
+    """
+    graph.launch(
+        cache_cells.accumulate_light, count, [views, paths, vertices, offset, bounces], [grid], banded=False)
+
+
+def record_shadow_rays(
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList,
+    pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
+) -> None:
+    """Record tracing hits' shadow rays to the lights chosen for them; what arrives is `paths.radiance`.
+
+    Args:
+        graph: What to add to.
+        scene: The scene.
+        paths: Their rays.
+        offset: Their first slot.
+        count: Their number.
+        queue: All slots, where there are triangles that need a test.
+        layered: Likewise: room for those that transparent layers stand in the way of.
+        pending: Room for those that reach lights whose radiance is a program.
+        filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
+        lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
+        programs: Whether lights may be programs (DeviceScene.has_hit_programs).
+    """
+    flat = is_flat(scene)
+    trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
+    graph.launch(trace, count, [scene, int(filtered)], [paths], start=offset)
+    if filtered:
+        queue, layered = queue[offset : offset + count], layered.part(offset, count)
+        shadows = [scene, make_options(filtered=True), one_number(1, graph.device)]
+        if flat:
+            graph.launch(flat_tracing.trace_flat_shadow_layers, count, shadows, [paths], start=offset)
+        else:
+            graph.launch_queued(tracing.trace_shadow_layers, shadows, queue, [paths])
+        if lean_layers:
+            graph.fill_list(compaction.append_layered_shadows, count, [paths, offset], layered)
+            graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, layered, [paths], few=True)
+        else:
+            graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, queue, [paths])
+    if programs:
+        pending = pending.part(offset, count)
+        graph.fill_list(compaction.append_pending_shadows, count, [paths, offset], pending)
+        graph.launch_listed(cache_programs.finish_cache_lights, [scene], pending, [paths])

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measure the viewport's way from a change in Blender to a picture that can be drawn. Run by hand.
+
+    python tests/performance/viewport_path.py SCENE.blend... [--device cuda] [--size 1920 1080] [--moves 40]
+
+Moves the camera, then an object, through Blender's own depsgraph, the add-on's extractor and the viewport's worker with
+its thread, and waits each time for the first picture of it: packed colours in the processor's memory, as they
+are uploaded where OpenGL and CUDA do not share a device. Not in it: Blender's timer, which asks for a redraw up to
+1/60 s later, and the draw call. Prints medians and the slowest tenth, in milliseconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+importlib.import_module("tests.conftest")  # makes `burnish` this checkout
+
+from burnish.addon.extract.camera import camera_from_scene  # noqa: E402
+from burnish.addon.extract.scene import SceneExtractor  # noqa: E402
+from burnish.addon.view_request import ViewRequest  # noqa: E402
+from burnish.addon.worker import ViewportWorker  # noqa: E402
+from burnish.engine.report import Report  # noqa: E402
+
+from tests.performance.blend_scene import BlendScene  # noqa: E402
+from tests.performance.measured_session import attempt, settings_for  # noqa: E402
+
+PATIENCE = 120.0
+"""Seconds to wait for a picture"""
+
+WARM_UP = 24
+"""Moves before those that are measured: histories fill, and the frame's records are made"""
+
+TRIANGLES = 20000
+"""Of the object that is moved, at most"""
+
+
+class HiddenViewport:
+    """A viewport without a window: its extractor, its worker, and a clock."""
+
+    def __init__(self, file: Path, size: tuple[int, int], device: str):
+        self.scene = BlendScene(file, size, device, matte=False)
+        settings = settings_for("realtime", device)
+        # All pixels, however slow; and one frame for each move, after which the worker rests.
+        self.settings = replace(
+            settings, performance=replace(settings.performance, viewport_pixel_size=1),
+            sampling=replace(settings.sampling, viewport_samples=1))
+        self.size, self.extractor = size, SceneExtractor()
+        self.worker = ViewportWorker()
+        self.worker.start()
+
+    @property
+    def serial(self) -> int:
+        """Number of the newest picture."""
+        return self.worker.picture.serial if self.worker.picture is not None else -1
+
+    def extract(self) -> None:
+        """Hand what has changed in Blender to the worker."""
+        graph = bpy.context.evaluated_depsgraph_get()
+        self.worker.post_scene(self.extractor.extract(graph, viewport=False, report=Report()))
+
+    def view(self) -> None:
+        """Ask for the camera's view."""
+        graph, scene = bpy.context.evaluated_depsgraph_get(), self.scene.scene
+        camera = camera_from_scene(scene, scene.camera.evaluated_get(graph), *self.size)
+        self.worker.post_view(ViewRequest(
+            settings=self.settings, camera=camera, width=self.size[0], height=self.size[1]))
+
+    def wait(self, serial: int) -> None:
+        """Wait for a picture newer than `serial`.
+
+        Raises:
+            RuntimeError: The worker has failed, or none comes.
+        """
+        end = time.perf_counter() + PATIENCE
+        while self.serial <= serial:
+            if self.worker.failed or time.perf_counter() > end:
+                raise RuntimeError(self.worker.status.error or "no picture came")
+            time.sleep(5e-5)
+
+    def settle(self) -> None:
+        """Wait until the worker rests."""
+        while self.worker.status.busy:
+            time.sleep(1e-3)
+
+    def measure(self, name: str, move: Callable[[int], None], moves: int, *, edits: bool) -> None:
+        """Time single moves: from the change to the first picture that shows it."""
+        rows = []
+        for index in range(WARM_UP + moves):
+            self.settle()
+            serial, marks = self.serial, [time.perf_counter()]
+            move(index)
+            bpy.context.view_layer.update()
+            marks.append(time.perf_counter())
+            if edits:
+                self.extract()
+            marks.append(time.perf_counter())
+            self.view()
+            marks.append(time.perf_counter())
+            self.wait(serial)
+            marks.append(time.perf_counter())
+            rows.append([*np.diff(marks), marks[-1] - marks[0]])
+        times = np.array(rows[WARM_UP:]).T * 1e3
+        labels = ("Blender", "extraction", "view", "worker", "all")
+        print(f"VIEWPORT {self.scene.name}, {name}: " + ", ".join(
+            f"{label} {np.median(values):.2f} ({np.quantile(values, 0.9):.2f})"
+            for label, values in zip(labels, times, strict=True)) + " ms", flush=True)
+
+    def close(self) -> None:
+        """End the worker."""
+        self.worker.stop()
+        self.worker.join(10.0)
+
+
+def movable() -> bpy.types.Object:
+    """Return the object with the most triangles that are no more than TRIANGLES."""
+    found = [(len(item.data.loop_triangles), item.name, item) for item in bpy.context.scene.objects
+             if item.type == 'MESH' and not item.hide_render]
+    fitting = [each for each in found if each[0] <= TRIANGLES] or found
+    return max(fitting)[2]
+
+
+def measure(file: Path, options: argparse.Namespace) -> None:
+    """Measure one scene."""
+    viewport = HiddenViewport(file, tuple(options.size), options.device)
+    try:
+        viewport.extract()
+        viewport.view()
+        viewport.wait(-1)
+        camera, item = viewport.scene.scene.camera, movable()
+        place, home = camera.location.copy(), item.location.copy()
+        step = 0.002 * sum(item.dimensions)
+
+        def pan(index: int) -> None:
+            camera.location = place
+            camera.location.x += step * (1 + index % 7)
+
+        def push(index: int) -> None:
+            item.location = home
+            item.location.x += step * (1 + index % 7)
+
+        viewport.measure("camera move", pan, options.moves, edits=False)
+        viewport.measure(f"object move ({len(item.data.loop_triangles)} triangles)", push, options.moves, edits=True)
+    finally:
+        viewport.close()
+
+
+def main() -> int:
+    """Measure all scenes; one that fails is told and skipped."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
+    parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
+    parser.add_argument("--moves", type=int, default=40)
+    options = parser.parse_args()
+    return int(sum(attempt(file.stem, measure, file, options) for file in options.scenes) > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

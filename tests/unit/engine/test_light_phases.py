@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Test frames of a settled cache, whose cells take the light of bounce rays a frame later."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from burnish.engine.frame_graph import FrameGraph
+from burnish.engine.passes.cache_spreading import SETTLED, LightPhase, light_phase
+from burnish.engine.passes.radiance_cache import RadianceCachePass
+from burnish.engine.scene import LightKind, SceneDelta
+from burnish.engine.session import Session
+from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
+from burnish.kernels.cache_rays import resume_bounces
+from burnish.kernels.hash_grid import NO_CELL
+from burnish.kernels.paths import ENDED
+
+from tests import scenes
+
+SIZE = (24, 16)
+REALTIME = replace(
+    scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME), cache=CacheSettings(capacity=14))
+LAMP = scenes.lamp(LightKind.POINT, 60.0, scenes.place(0.3, 0.2, 1.6), radius=0.2)
+
+
+def room(lights=(LAMP,)):
+    """Make a closed white box with a ball in it, lit by a lamp: half of its light is indirect."""
+    return scenes.delta(
+        {"box": scenes.box(2.0), "ball": scenes.sphere(0.8, 12)},
+        [("box", scenes.place(), "white"), ("ball", scenes.place(z=-1.0), "metal")],
+        {"white": scenes.material(color=0.7), "metal": scenes.material("GLOSSY", color=0.8, roughness=0.1)},
+        list(lights), 0.0)
+
+
+def look(made, frame):
+    """Look from the next place of a small circle."""
+    angle = 0.3 * frame
+    camera = scenes.camera_above(1.5, 1.0, orthographic=False)
+    transform = np.array(camera.transform).reshape(4, 4)
+    transform[:2, 3] += 0.1 * np.cos(angle), 0.1 * np.sin(angle)
+    made.configure(REALTIME, replace(camera, transform=tuple(transform.ravel())), *SIZE)
+
+
+def fly(made, frames, start=0):
+    """Render frames with a moving camera; return the mean of the last 32 pictures."""
+    pictures = []
+    for frame in range(start, start + frames):
+        look(made, frame)
+        made.step(1)
+        pictures.append(made.read()[..., :3].copy())
+    return np.mean(pictures[-32:], 0)
+
+
+def open_session():
+    """Open a session on the room."""
+    made = Session(REALTIME)
+    made.update(room())
+    look(made, 0)
+    return made
+
+
+def phases(made):
+    """Return the phases of the frames recorded so far."""
+    return {phase for _, _, phase in made._realtime.pipeline._graphs}
+
+
+@pytest.fixture(scope="module")
+def settled():
+    """Fly until the cache has settled, and some frames more."""
+    made = open_session()
+    return made, fly(made, SETTLED + 60)
+
+
+def test_phases_by_age():
+    """Sweep first, then spread, and settle; not while something but the camera moves."""
+    ages = {0: LightPhase.SWEEPING, 15: LightPhase.SWEEPING, 16: LightPhase.SPREADING,
+            SETTLED - 1: LightPhase.SPREADING, SETTLED: LightPhase.SETTLED}
+    for age, phase in ages.items():
+        assert light_phase(age, 10**6, moved=False) is light_phase(10**6, age, moved=False) is phase
+    assert light_phase(10**6, 10**6, moved=True) is LightPhase.SPREADING
+
+
+def test_settled_frames_keep_the_light(settled, monkeypatch):
+    """Get as much light from settled frames as from those that wait for everything."""
+    made, picture = settled
+    assert LightPhase.SETTLED in phases(made)
+    monkeypatch.setattr(RadianceCachePass, "is_settled", lambda self, phase: False)
+    waiting = fly(open_session(), SETTLED + 60)
+    assert waiting.mean() > 0.1
+    assert abs(picture.mean() / waiting.mean() - 1.0) < 0.01
+    assert not np.array_equal(picture, waiting)
+
+
+def test_bounce_rays_are_followed_once(settled):
+    """Leave bounce rays to the next frame alone: after one that follows its own none is followed again."""
+    made, _ = settled
+    pipeline, views = made._realtime.pipeline, made._realtime.views
+    cache, pending = pipeline.cache, pipeline.cache.pending
+    assert pending.numpy()[0] == views.frame + 1
+    moved = room().instances
+    moved.transforms[1, 0, 3] += 0.1
+    made.update(SceneDelta(instances=moved))
+    fly(made, 1, 400)
+    assert pending.numpy()[0] == 0
+    states = cache.paths.state.numpy()[cache.count :]
+    assert (cache.vertices.source.numpy() != NO_CELL).any() and (states != ENDED).any()
+    graph = FrameGraph(made.device)
+    graph.launch(resume_bounces, cache.bounces, [views.array, pending, cache.count], [cache.paths, cache.vertices])
+    for frame, followed in ((views.frame, True), (views.frame + 1, False)):
+        pending.fill_(frame)
+        graph.replay()
+        assert (cache.vertices.source.numpy() != NO_CELL).any() == followed
+        assert (cache.paths.state.numpy()[cache.count :] != ENDED).any() == followed
+
+
+def test_edit_of_light_leaves_nothing_behind(settled):
+    """Edit light in a settled frame: samples left for the next one are not taken for light of then."""
+    made, picture = settled
+    fly(made, 2, 500)
+    grid = made._realtime.pipeline.cache.grid
+    assert grid.counts.numpy().any()
+    grid.counts.fill_(1)
+    grid.sums.fill_(1 << 40)
+    made.update(SceneDelta(lights=[]))
+    fly(made, 2, 502)
+    assert LightPhase.SWEEPING in phases(made)
+    assert made.read()[..., :3].mean() < picture.mean()
