@@ -238,9 +238,10 @@ class ProgramBuilder:
         assert len(table) == codes.RAMP_SIZE * 16, len(table)
         return self._add(codes.OP_RAMP, operation_code("RAMP", name), (value,), (index_of(self.ramps, table),))
 
-    def procedural(self, name: str, coordinate, b=0.0, c=0.0) -> Value:
-        """Return a texture without an image (codes.PROCEDURAL_*)."""
-        return self._add(codes.OP_PROCEDURAL, operation_code("PROCEDURAL", name), (coordinate, b, c))
+    def procedural(self, name: str, coordinate, b=0.0, c=0.0, *options: str) -> Value:
+        """Return a texture without an image (codes.PROCEDURAL_*); options are e.g. codes.VORONOI_* of VORONOI."""
+        sub = sum((operation_code(name, option) for option in options), operation_code("PROCEDURAL", name))
+        return self._add(codes.OP_PROCEDURAL, sub, (coordinate, b, c))
 
     def white_noise(self, name: str, dimensions: int, coordinate, w) -> Value:
         """Return a random number (WHITE_NOISE_1) or colour (WHITE_NOISE_COLOR_1) of a coordinate."""

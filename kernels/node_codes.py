@@ -149,6 +149,8 @@ VECTOR_BOX_WEIGHTS = wp.constant(41)
 """Weights of the three sides of box projection: a object-space normal, b.x blend"""
 VECTOR_BOX_UV = wp.constant(42)
 """Coordinate of one side: a coordinate, b normal, c.x side 0..2"""
+VECTOR_WITH_W = wp.constant(43)
+"""a with b.x as its w, the fourth coordinate of patterns in four dimensions"""
 
 # OP_MIX: names follow Blender's blend_type.
 MIX_MIX = wp.constant(0)
@@ -268,6 +270,36 @@ PROCEDURAL_BRICK_MORTAR = wp.constant(13)
 PROCEDURAL_WHITE_NOISE_1 = wp.constant(16)
 """One to four dimensions (the fourth in b.x); the colour's codes follow"""
 PROCEDURAL_WHITE_NOISE_COLOR_1 = wp.constant(20)
+PROCEDURAL_VORONOI = wp.constant(1 << 10)
+"""Cells: b = (detail, roughness, lacunarity), c = (randomness, smoothness, exponent); the bits below it say what of"""
+VORONOI_1D = wp.constant(0)
+VORONOI_2D = wp.constant(1)
+VORONOI_3D = wp.constant(2)
+VORONOI_4D = wp.constant(3)
+VORONOI_METRICS = wp.constant(3 << 2)
+"""Mask, as VORONOI_FEATURES"""
+VORONOI_EUCLIDEAN = wp.constant(0)
+VORONOI_MANHATTAN = wp.constant(1 << 2)
+VORONOI_CHEBYCHEV = wp.constant(2 << 2)
+VORONOI_MINKOWSKI = wp.constant(3 << 2)
+VORONOI_FEATURES = wp.constant(3 << 4)
+VORONOI_F1 = wp.constant(0)
+"""Distance to the nearest point, a smooth minimum where c has a smoothness"""
+VORONOI_F2 = wp.constant(1 << 4)
+VORONOI_EDGE = wp.constant(2 << 4)
+"""Distance to the nearest border; as VORONOI_RADIUS only with VORONOI_EUCLIDEAN"""
+VORONOI_RADIUS = wp.constant(3 << 4)
+"""Half the distance from the nearest point to its own nearest neighbor"""
+VORONOI_NORMALIZE = wp.constant(1 << 6)
+"""Divide color and distance by the greatest that the octaves add up to"""
+VORONOI_POSITION = wp.constant(1 << 7)
+"""Return the point's position instead of the distance; not with VORONOI_NORMALIZE or VORONOI_COLOR"""
+VORONOI_COLOR = wp.constant(1 << 8)
+"""Return the color, too; only with VORONOI_F1 and VORONOI_F2"""
+PROCEDURAL_GABOR = wp.constant(1 << 11)
+"""Value, phase and intensity of Gabor noise: b = (frequency, anisotropy, angle in 2D), c direction in 3D"""
+GABOR_2D = wp.constant(0)
+GABOR_3D = wp.constant(1)
 
 # OP_FRESNEL.
 FRESNEL_IOR = wp.constant(0)

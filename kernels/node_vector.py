@@ -199,6 +199,8 @@ def vector_math(sub: int, a4: wp.vec4, b4: wp.vec4, c4: wp.vec4) -> wp.vec4:
         return wp.vec4(a4[3], a4[3], a4[3], 0.0)
     if sub == codes.VECTOR_XYZ:
         return wp.vec4(a[0], a[1], a[2], 0.0)
+    if sub == codes.VECTOR_WITH_W:
+        return wp.vec4(a[0], a[1], a[2], b[0])
     v = wp.vec3(0.0)
     width = float(0.0)
     if sub == codes.VECTOR_ADD:

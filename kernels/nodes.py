@@ -13,12 +13,14 @@ import warp as wp
 from . import node_codes as codes
 from .node_closure import argument, drawing_weight, empty_closure, fetch, read_closure, xyz
 from .node_color import adjust_color, mix_color
+from .node_gabor import gabor
 from .node_input import input_value
 from .node_math import math
 from .node_noise import noise_texture
 from .node_normal import bump, change_space, normal_map
 from .node_texture import checker, fresnel_weight, gradient, project_image, ramp
 from .node_vector import vector_math
+from .node_voronoi import voronoi
 from .texture import sample_texture
 from .types import MATERIAL_CONSTANT_EMISSION, MATERIAL_EMISSION, MATERIAL_TRANSPARENCY, Closure, Scene, ShadingPoint
 
@@ -65,6 +67,10 @@ def procedural(sub: int, a: wp.vec4, b: wp.vec4, c: wp.vec4) -> wp.vec4:
         return broadcast(checker(xyz(a)))
     if sub <= codes.PROCEDURAL_GRADIENT_SPHERICAL:
         return broadcast(gradient(sub, xyz(a)))
+    if sub >= codes.PROCEDURAL_GABOR:
+        return gabor(sub, a, b, c)
+    if sub >= codes.PROCEDURAL_VORONOI:
+        return voronoi(sub, a, b, c)
     return noise_texture(sub, a, b, c)
 
 

@@ -7,7 +7,7 @@ from mathutils import Euler, Matrix
 
 from ...engine.program import Value
 from ...engine.report import ReportKind
-from .node_graph import MEAN_VALUE, Graph, translates
+from .node_graph import Graph, translates
 from .node_inputs import is_identity
 
 __all__: list[str] = []
@@ -190,11 +190,57 @@ def brick_node(graph: Graph, node, output: str) -> Value:
     return build.mix("MIX", joint, color, graph.value(node, "Mortar"))
 
 
-@translates("ShaderNodeTexVoronoi", "ShaderNodeTexGabor")
-def unevaluated_node(graph: Graph, node, output: str) -> Value:
-    """Patterns that aren't computed: their mean."""
-    graph.tell(node, f"is not computed; the mean value {MEAN_VALUE} stands in for it")
-    return graph.builder.constant(MEAN_VALUE)
+VORONOI_FEATURES = {
+    'F1': "F1", 'F2': "F2", 'SMOOTH_F1': "F1", 'DISTANCE_TO_EDGE': "EDGE", 'N_SPHERE_RADIUS': "RADIUS"}
+
+
+@translates("ShaderNodeTexVoronoi")
+def voronoi_node(graph: Graph, node, output: str) -> Value:
+    """Voronoi Texture; outputs that a feature doesn't have are 0."""
+    build = graph.builder
+    dimensions, feature = node.voronoi_dimensions, VORONOI_FEATURES[node.feature]
+    has_cells = feature in ("F1", "F2")
+    known = {"Distance", "Color", "Position", "W"} if has_cells else {"Radius" if feature == "RADIUS" else "Distance"}
+    if output not in known:
+        return build.constant(0.0)
+    scale = graph.value(node, "Scale")
+    w = build.math("MULTIPLY", graph.value(node, "W"), scale)
+    place = w if dimensions == '1D' else scaled(graph, node)
+    if dimensions == '4D':
+        place = build.vector("WITH_W", place, w)
+    # Along a line all metrics are the same; the other features know Euclid's alone.
+    metric = "EUCLIDEAN" if not has_cells else "MANHATTAN" if dimensions == '1D' else node.distance
+    options = [dimensions, metric, feature]
+    if output in ("Position", "W"):
+        options.append("POSITION")
+    else:
+        # One evaluation serves distance and color.
+        options += ["COLOR"] if has_cells and graph.is_used(node, "Color") else []
+        options += ["NORMALIZE"] if node.normalize and feature != "RADIUS" else []
+    octaves = build.combine(*(graph.value(node, name) for name in ("Detail", "Roughness", "Lacunarity")))
+    smoothness = graph.value(node, "Smoothness") if node.feature == 'SMOOTH_F1' else 0.0
+    exponent = graph.value(node, "Exponent") if metric == "MINKOWSKI" else 0.0
+    shape = build.combine(graph.value(node, "Randomness"), smoothness, exponent)
+    cells = build.procedural("VORONOI", place, octaves, shape, *options)
+    if output == "Color":
+        return build.vector("XYZ", cells)
+    if output == "Position":
+        return build.constant(0.0) if dimensions == '1D' else build.vector("DIVIDE", build.vector("XYZ", cells), scale)
+    if output == "W":
+        last = {'1D': 0, '4D': 3}.get(dimensions)
+        return build.constant(0.0) if last is None else build.math("DIVIDE", build.component(cells, last), scale)
+    return build.component(cells, 3)
+
+
+@translates("ShaderNodeTexGabor")
+def gabor_node(graph: Graph, node, output: str) -> Value:
+    """Gabor Texture."""
+    build = graph.builder
+    noise = build.procedural(
+        "GABOR", scaled(graph, node),
+        build.combine(*(graph.value(node, name) for name in ("Frequency", "Anisotropy", "Orientation 2D"))),
+        graph.value(node, "Orientation 3D"), node.gabor_type)
+    return build.component(noise, ("Value", "Phase", "Intensity").index(output))
 
 
 SKY_MEANS = {

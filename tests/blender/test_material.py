@@ -20,7 +20,8 @@ def run_nodes(run_python: Callable) -> Callable[[str], object]:
     folder = str(Path(__file__).resolve().parent)
     preamble = (
         f"sys.path.insert(0, {folder!r})\nimport warp\nwarp.config.log_level = warp.LOG_ERROR\n"
-        "from node_scenes import *\nfrom node_graphs import *\nfrom material_graphs import *\nharness = Harness()\n")
+        "from node_scenes import *\nfrom node_graphs import *\nfrom material_graphs import *\n"
+        "from cell_graphs import voronoi_graphs, gabor_graphs\nharness = Harness()\n")
 
     def run(script: str) -> object:
         process = run_python(preamble + script)
@@ -33,7 +34,7 @@ def run_nodes(run_python: Callable) -> Callable[[str], object]:
 
 FAMILIES = [
     "coordinate_graphs", "math_graphs", "vector_graphs", "mix_graphs", "color_graphs", "mapping_graphs",
-    "image_graphs", "pattern_graphs", "normal_graphs",
+    "image_graphs", "pattern_graphs", "normal_graphs", "voronoi_graphs", "gabor_graphs",
 ]
 
 
@@ -112,7 +113,7 @@ def test_flags(found: dict, graph: str, flags: tuple):
 def test_report_names_what_is_not_drawn(found: dict):
     """Name material and node of everything that is approximated, and never fail."""
     text = found["report_of_everything"]
-    for words in ("subsurface", "Voronoi", "Wireframe", "volume", "toon", "thin film", "Light Path"):
+    for words in ("subsurface", "Sky Texture", "Wireframe", "volume", "toon", "thin film", "Light Path"):
         assert words in text, words
     assert "material 'Everything'" in text
     assert "could not be read" not in text
