@@ -34,6 +34,10 @@ LARGE = wp.constant(1.0e18)
 # Cosine that the target's specular lobe takes at least, for the view and the light.
 COSINE_FLOOR = wp.constant(0.02)
 
+# Sine of the angle between a coarse mesh's triangle and the smooth surface that is looked for: light from so far below
+# the triangle may arrive.
+COARSE_SINE = wp.constant(0.35)
+
 
 @wp.struct
 class DirectOptions:
@@ -83,6 +87,8 @@ class LitSurface:
     surface: Surface
     material: SurfaceMaterial
     """Diffuse and translucent albedo divided by their sum"""
+    smooth: wp.vec3
+    """Interpolated normal, see evaluate_brdf"""
     wo: wp.vec3
 
 
@@ -178,10 +184,11 @@ LEAST_ROUGHNESS = wp.constant(0.15)
 
 
 @wp.func
-def load_lit(view: View, gbuffer: GBuffer, surface: Surface, pixel: int) -> LitSurface:
-    """Return a pixel of this frame without its diffuse colours."""
+def load_lit(view: View, gbuffer: GBuffer, surface: Surface, smooth: wp.vec3, pixel: int) -> LitSurface:
+    """Return a pixel of this frame without its diffuse colours; `smooth` is its interpolated normal."""
     p = LitSurface()
     p.surface = surface
+    p.smooth = smooth
     p.material = load_material(gbuffer, pixel)
     diffuse = p.material.diffuse
     albedo = diffuse + p.material.translucent
@@ -282,7 +289,7 @@ def light_terms(
     terms.specular = wp.vec3(0.0, 0.0, 0.0)
     if s.kind < 0:
         return terms
-    f = evaluate_brdf(lit_material(options, p.material, s), p.surface, p.wo, s.wi)
+    f = evaluate_brdf(lit_material(options, p.material, s), p.surface, p.smooth, p.wo, s.wi)
     light = s.radiance / s.pdf
     if (s.visibility & VISIBLE_DIFFUSE) != 0:
         terms.diffuse = wp.cw_mul(f.diffuse + f.transmitted, light)
@@ -351,7 +358,8 @@ def target(options: DirectOptions, p: Receiver, s: LightSample, weights: wp.vec3
     cos_i = wp.dot(p.normal, s.wi)
     shines = (s.visibility & VISIBLE_DIFFUSE) != 0
     value = float(0.0)
-    if wp.dot(p.geometric_normal, s.wi) > 0.0:
+    height = wp.dot(p.geometric_normal, s.wi)
+    if height > 0.0 or (height > -COARSE_SINE and cos_i > 0.0):
         if shines:
             value = p.diffuse * INV_PI * wp.max(cos_i, 0.0)
         if (s.visibility & VISIBLE_GLOSSY) != 0 and p.f0 + p.f90 + p.coat > 0.0:

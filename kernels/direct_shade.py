@@ -12,6 +12,7 @@ import warp as wp
 
 from .direct_light import PackedLight
 from .direct_reservoir import (
+    COARSE_SINE,
     DirectOptions,
     LightTerms,
     Reservoirs,
@@ -24,8 +25,16 @@ from .direct_reservoir import (
     slot_of_pixel,
 )
 from .environment_split import EnvironmentSplit
-from .gbuffer import GBuffer, Surface, has_surface, load_surface, plane_distance
-from .geometry_math import max_component
+from .gbuffer import (
+    SURFACE_BACKFACING,
+    GBuffer,
+    Surface,
+    barycentrics_of,
+    has_surface,
+    load_surface,
+    plane_distance,
+)
+from .geometry_math import max_component, normalize_or, transform_normal
 from .light_candidate import replay
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
@@ -33,6 +42,7 @@ from .paths import Paths
 from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
 from .view import View, pixel_footprint
+from .wide_loads import load_instance, load_normal
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -82,6 +92,18 @@ def choose_lender(view: View, options: DirectOptions, gbuffer: GBuffer, surface:
                 return q
         k = k + 1
     return -1
+
+
+@wp.func
+def smooth_normal(scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) -> wp.vec3:
+    """Return the interpolated normal of a pixel's surface, without normal map or bump, as surface_point has it."""
+    hit = gbuffer.hit[pixel]
+    b = barycentrics_of(gbuffer, pixel)
+    local = (load_normal(scene.geometry, hit[1], 0) * (1.0 - b[0] - b[1])
+             + load_normal(scene.geometry, hit[1], 1) * b[0] + load_normal(scene.geometry, hit[1], 2) * b[1])
+    side = wp.where((gbuffer.material[pixel] & SURFACE_BACKFACING) != wp.uint32(0), -1.0, 1.0)
+    world = transform_normal(load_instance(scene.geometry.instances, hit[0]).to_object, local)
+    return normalize_or(world * side, surface.geometric_normal)
 
 
 @wp.func
@@ -137,7 +159,10 @@ def shade_direct(
             if max_component(factor) > 0.0:
                 candidate = load_reservoir(reservoirs, q).candidate
                 s = replay(scene, split, emitters, surface.position, candidate)
-                p = load_lit(view, gbuffer, surface, pixel)
+                smooth = surface.geometric_normal
+                if wp.abs(wp.dot(smooth, s.wi)) < COARSE_SINE:
+                    smooth = smooth_normal(scene, gbuffer, surface, pixel)
+                p = load_lit(view, gbuffer, surface, smooth, pixel)
                 light = scaled_terms(light_terms(scene, split, options, p, candidate, s), factor)
     light_out.diffuse[pixel] = pack_halves(rgba(light.diffuse, sampled))
     light_out.specular[pixel] = pack_halves(rgba(light.specular, sampled))

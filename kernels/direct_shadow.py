@@ -35,7 +35,7 @@ from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
 from .terminator import smooth_surface_offset
 from .types import Scene, ShadingPoint
-from .view import View
+from .view import View, direction_to_eye
 from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -110,9 +110,9 @@ def aim_shadow_rays(
     r = load_reservoir(reservoirs, pixel)
     surface = load_surface(view, gbuffer, options.width, pixel)
     if r.weight > 0.0 and has_surface(surface):
-        p = load_lit(view, gbuffer, surface, pixel)
         hit = make_hit(surface.depth, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel))
-        point = surface_point(scene, hit, -p.wo)
+        point = surface_point(scene, hit, -direction_to_eye(view.camera, surface.position))
+        p = load_lit(view, gbuffer, surface, point.normal, pixel)
         s = replay(scene, split, emitters, point.position, r.candidate)
         if s.kind >= 0:
             scale = r.weight * view.exposure

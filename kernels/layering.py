@@ -22,7 +22,7 @@ from .fresnel import (
     pow3,
     saturate3,
 )
-from .geometry_math import mean_component, safe_sqrt, sqr
+from .geometry_math import max_component, mean_component, safe_sqrt, sqr
 from .lobe_setup import (
     GLASS_REFRACTION,
     add_glass,
@@ -303,6 +303,18 @@ def normalize_picks(bsdf: Bsdf, wo: wp.vec3):
 
 
 @wp.func
+def largest_gain(closure: Closure) -> float:
+    """Return a bound of how much more light a closure may return than it receives, 1 where that is none.
+
+    Only weights and colours above 1 make it gain: those of BSDFs that are added, or of colours that no surface has.
+    """
+    reflected = max_component(closure.color)
+    if closure.kind == CLOSURE_PRINCIPLED:
+        reflected = wp.max(reflected, 1.0)
+    return wp.max(max_component(closure.weight) * reflected, 1.0)
+
+
+@wp.func
 def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
     """Prepare a closure for the view of `point`."""
     bsdf = Bsdf()
@@ -311,6 +323,7 @@ def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
     bsdf.normal = unit_normal(closure.normal, point.normal)
     bsdf.specular_normal = valid_specular_normal(point.geometric_normal, point.wo, bsdf.normal)
     bsdf.emission = closure.emission
+    bsdf.gain = largest_gain(closure)
     if closure.kind == CLOSURE_PRINCIPLED:
         bsdf = prepare_principled(tables, closure, point, bsdf)
     else:

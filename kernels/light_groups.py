@@ -182,7 +182,7 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
     nearest = float(FAR)
     k = int(0)
     while k < 3 * LIGHT_CANDIDATES:
-        side = point.geometric_normal * float(k % 3 - 1)
+        side = point.normal * float(k % 3 - 1)
         found = light_again(
             scene, tables, point.position, side,
             candidate_place(place, float(k // 3)), refill)

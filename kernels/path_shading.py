@@ -151,10 +151,19 @@ def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: 
 
 @wp.func
 def front_of(bsdf: Bsdf) -> wp.vec3:
-    """Return the normal of a surface on whose back no light counts, zero for one that lets light through."""
-    if bsdf.pick_glass + bsdf.pick_translucent > 0.0:
+    """Return the normal of a surface on whose back no light counts, zero for one that lets light through.
+
+    It is the smooth one, whose side lobes ask for (normals.bump_shadowing), not that of the flat triangle: light that
+    grazes a coarse mesh arrives at triangles that face away from it, on the surface that their normals imply
+    (terminator.py). A bumped normal that leans away by more than a right angle turns sides.
+    """
+    n = bsdf.smooth_normal
+    cosine = wp.min(wp.dot(n, bsdf.normal), wp.dot(n, bsdf.specular_normal))
+    if bsdf.pick_coat > 0.0:
+        cosine = wp.min(cosine, wp.dot(n, bsdf.coat_normal))
+    if bsdf.pick_glass + bsdf.pick_translucent > 0.0 or cosine <= 0.0:
         return wp.vec3(0.0, 0.0, 0.0)
-    return bsdf.geometric_normal
+    return n
 
 
 @wp.func
@@ -227,8 +236,9 @@ def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Pa
     if not (sample.pdf > 0.0 and is_finite3(weight) and max_component(weight) > 0.0):
         return
     if bounce >= LONG_PATH:
-        # Some materials return more than they receive (two BSDFs added); unlimited paths would never converge.
-        weight = weight / wp.max(max_component(weight), 1.0)
+        # Some materials return more than they receive (two BSDFs added); unlimited paths would never converge. It is
+        # not the weight that is limited: of materials that gain nothing it is above 1 as often as below.
+        weight = weight / bsdf.gain
     paths.state[path] = bounce + 1
     paths.throughput[path] = wp.cw_mul(paths.throughput[path], weight)
     paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)

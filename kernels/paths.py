@@ -21,6 +21,9 @@ PENDING_WORLD = wp.constant(2)
 
 # Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
 LONG_PATH = wp.constant(32)
+# Largest chance with which they go on. Less would weigh the few that are left the more, without bound between white
+# surfaces: their share falls by it in each bounce, the square of their weight rises by it.
+LONG_SURVIVAL = wp.constant(0.97)
 
 @wp.struct
 class Options:
@@ -232,7 +235,7 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float
     """
     if bounce <= options.roulette_start:
         return 1.0
-    limit = wp.where(bounce < LONG_PATH, 1.0, 0.9)
+    limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
 

@@ -139,6 +139,8 @@ class Bsdf:
     sheen_b: float
     emission: wp.vec3
     """Radiance leaving towards `wo`, all of it"""
+    gain: float
+    """See layering.largest_gain"""
     pick_diffuse: float
     pick_specular: float
     pick_coat: float

@@ -31,12 +31,14 @@ def evaluate_specular(m: SurfaceMaterial, s: Surface, wo: wp.vec3, wi: wp.vec3) 
 
 
 @wp.func
-def evaluate_brdf(m: SurfaceMaterial, s: Surface, wo: wp.vec3, wi: wp.vec3) -> SurfaceBrdf:
-    """Return all lobes' values; reflection is 0 where `wi` is below the geometric surface, transmission above it.
+def evaluate_brdf(m: SurfaceMaterial, s: Surface, smooth: wp.vec3, wo: wp.vec3, wi: wp.vec3) -> SurfaceBrdf:
+    """Return all lobes' values; reflection is 0 where `wi` is below the smooth surface, transmission above it.
 
     Args:
         m: From load_material.
         s: From load_surface.
+        smooth: Interpolated normal without normal map or bump. That of the flat triangle would cut off light that
+            grazes coarse meshes.
         wo: Unit direction to the viewer.
         wi: Unit direction to the light.
     """
@@ -45,9 +47,8 @@ def evaluate_brdf(m: SurfaceMaterial, s: Surface, wo: wp.vec3, wi: wp.vec3) -> S
     result.specular = wp.vec3(0.0, 0.0, 0.0)
     result.transmitted = wp.vec3(0.0, 0.0, 0.0)
     cosine = wp.dot(s.normal, wi)
-    if wp.dot(s.geometric_normal, wi) > 0.0:
-        # The G-buffer's geometric normal stands for the smooth one: where no bump is, both nearly agree.
-        shadow = bump_shadowing(s.normal, s.geometric_normal, wi, True, False)
+    if wp.dot(smooth, wi) > 0.0:
+        shadow = bump_shadowing(s.normal, smooth, wi, True, False)
         result.diffuse = m.diffuse * (wp.max(cosine, 0.0) * INV_PI * shadow)
         result.specular = evaluate_specular(m, s, wo, wi)
     else:

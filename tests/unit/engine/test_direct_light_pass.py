@@ -148,6 +148,21 @@ def test_curved_surface():
         np.testing.assert_allclose(mean[inside].mean(), expected[inside].mean(), rtol=0.012, err_msg=name)
 
 
+def test_coarse_surface():
+    """Give the path tracer's light on a coarse smooth ball where it grazes, at half rate too: no triangle cuts it."""
+    turn, sun = np.eye(4), np.eye(4)
+    turn[:2, :2] = [[np.cos(0.2), -np.sin(0.2)], [np.sin(0.2), np.cos(0.2)]]
+    sun[:3, 2], sun[:3, 0] = (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
+    delta = scenes.delta({"ball": scenes.sphere(0.45, 6)}, [("ball", turn, "grey")], GREY,
+                         [scenes.lamp("SUN", 3.0, sun, angle=0.01)])
+    expected = reference(delta, CAMERA, 24, 1024)
+    grazed = np.s_[6:18, 12:15]
+    assert 0.02 < expected[grazed].mean() < 0.3 * expected.max()
+    for name, settings in SETTINGS.items():
+        mean = Frames(delta, CAMERA, 24, **settings).mean(256)
+        np.testing.assert_allclose(mean[grazed].mean(), expected[grazed].mean(), rtol=0.02, err_msg=name)
+
+
 def test_transparent_layers():
     """Weaken light by the transparent squares that it passes, the world's excess included."""
     veil = {**GREY, "veil": scenes.transparent(0.5, color=0.0)}

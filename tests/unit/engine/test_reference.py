@@ -8,7 +8,7 @@ import pytest
 from burnish.engine.environment import running_sums
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
-from burnish.engine.settings import FilmSettings
+from burnish.engine.settings import DenoiserSettings, FilmSettings, Integrator, SamplingSettings
 
 from tests import scenes
 
@@ -318,6 +318,41 @@ def test_sun_and_sky_share_shadow_rays_by_what_they_bring():
     assert lit > 20.0 * dark and dark_noise < 0.08
     # With equal chances for both and one sample each, half of the samples bring next to nothing.
     assert lit_noise < 0.005
+
+
+@pytest.mark.parametrize("integrator", ["reference", "realtime"])
+def test_grazing_light_arrives_on_coarse_meshes(integrator):
+    """Find the cosine of smooth normals along a sun's terminator, also where triangles face away from the sun."""
+    settings = dataclasses.replace(
+        scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator(integrator)),
+        denoiser=DenoiserSettings(path_traced_rest=False, direct_iterations=0))
+    # No edge lies along the terminator.
+    delta = scenes.delta({"ball": scenes.sphere(0.45, 6)}, [("ball", turned(10.0), "grey")],
+                         {"grey": scenes.material(color=0.5)}, [sunset(2.0)])
+    session = Session(settings)
+    session.update(delta)
+    session.configure(settings, scenes.camera_above(), 48, 48, passes=("Combined", "Normal"))
+    session.step(64)
+    light, normal = session.read()[..., 0], session.read("Normal")
+    cosine, inside = normal[..., 0], np.linalg.norm(normal, axis=-1) > 0.98
+    for low, high in ((0.02, 0.1), (0.1, 0.2), (0.2, 0.6)):
+        band = inside & (cosine > low) & (cosine < high)
+        np.testing.assert_allclose(light[band].sum() / cosine[band].sum(), 2.0 * 0.5 / np.pi, rtol=0.01)
+    assert light[inside & (cosine < -0.02)].max() < 1e-4
+
+
+def turned(degrees):
+    """Return a rotation about z."""
+    angle, matrix = np.radians(degrees), np.eye(4)
+    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def sunset(power):
+    """Return a small sun that shines along -x."""
+    matrix = np.eye(4)
+    matrix[:3, 2], matrix[:3, 0] = (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
+    return scenes.lamp("SUN", power, matrix, angle=0.001)
 
 
 def test_running_sums_are_the_probabilities():

@@ -2,9 +2,10 @@
 """Tests of the energy of reflections in real time: white furnaces of every roughness, metal, coats, glass."""
 
 import pytest
+from burnish.engine.stress.furnaces import EMISSION, closed_box, white_share
 
 from tests import glossy_checks
-from tests.light_checks import Setup
+from tests.light_checks import Setup, luminance
 
 SMALL = Setup((144, 48), truth_samples=64)
 GLASS = Setup((144, 48), truth_samples=512)
@@ -34,6 +35,28 @@ def test_white_balls(kinds):
 def test_glossy_box(roughness, metallic):
     """Find the light of Reference in a closed box that emits and reflects."""
     check(glossy_checks.glossy_box(BOX, 128, metallic=metallic, roughness=roughness))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["frames", "at rest", "reference"])
+@pytest.mark.parametrize(("albedo", "tolerance"), [(0.9, 0.01), (0.95, 0.02)])
+@pytest.mark.parametrize(("metallic", "roughness"), [(0.0, 0.5), (0.0, 1.0), (1.0, 0.25)])
+def test_white_box(metallic, roughness, albedo, tolerance, how):
+    """Find e / (1 - share) in closed white boxes: by frames, as samples join them, and by endless paths."""
+    setup = Setup((24, 18), "reference" if how == "reference" else "realtime",
+                  groups={"denoiser": {"path_traced_rest": how == "at rest"}})
+    surface = {"metallic": metallic, "roughness": roughness}
+    picture = setup.picture(closed_box(albedo, setup.size, **surface), 512)
+    expected = EMISSION / (1.0 - albedo * white_share(**surface))
+    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.slow
+def test_long_paths_keep_their_light():
+    """Lose nothing after 32 bounces, where paths may not gain: weights of single samples are above 1 now and then."""
+    picture = Setup((24, 18), "reference").picture(closed_box(0.95, (24, 18), metallic=0.0, roughness=0.5), 1024)
+    expected = EMISSION / (1.0 - 0.95 * white_share(metallic=0.0, roughness=0.5))
+    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.slow

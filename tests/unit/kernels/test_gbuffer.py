@@ -115,7 +115,7 @@ def fit_and_integrate(
         v = sample_pair(wp.uint32(i), wp.uint32(k), 1)
         s = sample_bsdf(bsdf, wo, wp.vec3(u[0], u[1], v[0]))
         if s.pdf > 0.0 and s.delta == 0:
-            total += evaluate_brdf(unpacked, surface, wo, s.wi).specular / s.pdf
+            total += evaluate_brdf(unpacked, surface, surface.normal, wo, s.wi).specular / s.pdf
     integral_out[i] = total / float(samples)
 
 
@@ -200,7 +200,7 @@ def compare_values(
     surface = Surface()
     surface.normal = wp.vec3(0.0, 0.0, 1.0)
     surface.geometric_normal = surface.normal
-    value = evaluate_brdf(load_material(packed, i), surface, wo, wi)
+    value = evaluate_brdf(load_material(packed, i), surface, surface.normal, wo, wi)
     real_out[i, 2 * j] = real.f - real.diffuse
     packed_out[i, 2 * j] = value.specular
     real_out[i, 2 * j + 1] = real.diffuse

@@ -93,6 +93,7 @@ def find_both(
     p = LitSurface()
     p.surface = make_surface()
     p.material = r.material
+    p.smooth = p.surface.normal
     p.wo = r.wo
     lobes = specular_lobes(p.material, p.surface, p.wo)
     light_out[i] = wp.vec2(0.0, 0.0)
