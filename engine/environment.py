@@ -12,7 +12,7 @@ from ..kernels import node_codes, types
 from ..kernels.environment import bake_environment
 from .device import run_bands
 from .program import Program
-from .scene import WorldData
+from .scene import Visibility, WorldData
 
 __all__ = ["build_environment", "no_environment"]
 
@@ -111,7 +111,12 @@ def build_environment(
 
 
 def _is_same_for_all(program: Program) -> bool:
-    """Return whether a world's program depends on nothing but the direction."""
-    inputs = {head >> 16 & 255 for head, *_ in program.surface if head & 255 == node_codes.OP_INPUT}
-    of_ray = {node_codes.INPUT_RAY_KIND, node_codes.INPUT_RAY_LENGTH, node_codes.INPUT_RAY_DEPTH}
-    return not program.uses_camera and not inputs & {int(each) for each in of_ray}
+    """Return whether a world's program depends on nothing but the direction, for rays that aren't the camera's.
+
+    No camera ray takes a texel's mean, and the table is baked for rays of no kind.
+    """
+    inputs = [(head >> 16 & 255, mask) for head, _, mask, _ in program.surface if head & 255 == node_codes.OP_INPUT]
+    of_path = (int(node_codes.INPUT_RAY_LENGTH), int(node_codes.INPUT_RAY_DEPTH))
+    return not program.uses_camera and not any(
+        kind in of_path or kind == int(node_codes.INPUT_RAY_KIND) and mask != int(Visibility.CAMERA)
+        for kind, mask in inputs)

@@ -218,7 +218,7 @@ class ProgramBuilder:
         Args:
             key: Image key.
             coordinate: UV, or a direction for the panoramic projections; its w is the filter width.
-            projection: FLAT, SPHERE, TUBE, EQUIRECTANGULAR or MIRROR_BALL.
+            projection: FLAT, SPHERE, TUBE, EQUIRECTANGULAR, MIRROR_BALL or SKY.
             extension: 0 repeat, 1 extend, 2 clip, 3 mirror.
             interpolation: 0 linear, 1 closest, 2 cubic.
             associate: Multiply the colour by alpha.

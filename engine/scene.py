@@ -237,6 +237,9 @@ class WorldData:
     """Distance within which things count for the Ambient Occlusion pass [m]"""
     aovs: dict[str, Program] = field(default_factory=dict)
     """As of materials"""
+    sun: LightData | None = None
+    """Lamp that shines as the sun of its sky does, which the program shows to the camera alone; the host hands it over
+    among SceneDelta.lights"""
 
 
 class CameraKind(enum.StrEnum):

@@ -141,6 +141,9 @@ def bounce_origin(grid: HashGrid, vertices: Vertices, bounce: int, bounces: int,
 # cells learn of it the sooner it has come everywhere.
 SPREADING_FRAMES = wp.constant(48.0)
 
+# Those in which light goes on within the frame (cache_spread.py).
+SWEEP_FRAMES = wp.constant(16.0)
+
 
 @wp.kernel
 def start_bounces(

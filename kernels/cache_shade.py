@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, SPREADING_FRAMES, Vertices, cell_seed
+from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
 from .geometry_math import is_finite3
 from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light, known_indirect
 from .packing import rgb, unpack_normal
@@ -61,7 +61,7 @@ def gather_bounces(
                 grid, view, cell, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
                 paths.direction[slot], cell_seed(slot, view.frame))
             source = vertices_out.source[bounce]
-            if not light[3] > 0.0 and source != NO_CELL and settling_frames(view) >= SPREADING_FRAMES:
+            if not light[3] > 0.0 and source != NO_CELL and settling_frames(view) >= SWEEP_FRAMES:
                 # One ray of a thousand meets cells so seldom met that nothing is known. Black would be lost in every
                 # bounce: 2 % of the light at albedo 0.95. The source's own light stands for the mean of the known.
                 light = grid.indirect[source]

@@ -224,6 +224,8 @@ PROJECTION_SPHERE = wp.constant(1)
 PROJECTION_TUBE = wp.constant(2)
 PROJECTION_EQUIRECTANGULAR = wp.constant(3)
 PROJECTION_MIRROR_BALL = wp.constant(4)
+PROJECTION_SKY = wp.constant(5)
+"""The images of engine/sky: a direction whose z is the sine of its elevation, the sun's azimuth along +x"""
 IMAGE_ASSOCIATE = wp.constant(1 << 8)
 
 # OP_TRANSFORM.

@@ -27,7 +27,10 @@ def rgb_to_hsv(rgb: wp.vec3) -> wp.vec3:
     else:
         h = 4.0 + c[1] - c[0]
     h = h / 6.0
-    return wp.vec3(wp.where(h < 0.0, h + 1.0, h), delta / high, high)
+    # No wp.where here and below: it is not there where the builder folds constants.
+    if h < 0.0:
+        h = h + 1.0
+    return wp.vec3(h, delta / high, high)
 
 
 @wp.func
@@ -37,7 +40,9 @@ def hsv_to_rgb(hsv: wp.vec3) -> wp.vec3:
     v = hsv[2]
     if s == 0.0:
         return wp.vec3(v)
-    h = wp.where(hsv[0] == 1.0, 0.0, hsv[0] * 6.0)
+    h = hsv[0] * 6.0
+    if hsv[0] == 1.0:
+        h = 0.0
     sector = wp.floor(h)
     f = h - sector
     p = v * (1.0 - s)

@@ -45,6 +45,14 @@ def project_equirectangular(direction: wp.vec3) -> wp.vec2:
 
 
 @wp.func
+def project_sky(direction: wp.vec3) -> wp.vec2:
+    """Return the UV of a direction on the picture of a sky, whose rows crowd at the horizon (engine/sky)."""
+    u = 0.5 - wp.atan2(direction[1], direction[0]) / TWO_PI
+    share = wp.asin(wp.clamp(direction[2], -1.0, 1.0)) * (2.0 * INV_PI)
+    return wp.vec2(u, 0.5 + 0.5 * wp.sign(share) * wp.sqrt(wp.abs(share)))
+
+
+@wp.func
 def project_mirror_ball(direction: wp.vec3) -> wp.vec2:
     """Return the UV of a direction on the photograph of a mirror ball taken along +y."""
     d = wp.normalize(direction)
@@ -63,6 +71,9 @@ def project_image(projection: int, co: wp.vec4) -> wp.vec3:
     width = co[3]
     if projection == codes.PROJECTION_EQUIRECTANGULAR:
         uv = project_equirectangular(p)
+        width = width / TWO_PI
+    elif projection == codes.PROJECTION_SKY:
+        uv = project_sky(p)
         width = width / TWO_PI
     elif projection == codes.PROJECTION_MIRROR_BALL:
         uv = project_mirror_ball(p)

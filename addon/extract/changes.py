@@ -142,4 +142,6 @@ def same_fields(value: object, other: object) -> bool:
 def _same(value: object, other: object) -> bool:
     if isinstance(value, np.ndarray):
         return isinstance(other, np.ndarray) and value.shape == other.shape and bool((value == other).all())
+    if isinstance(value, LightData):
+        return isinstance(other, LightData) and same_fields(value, other)
     return value == other

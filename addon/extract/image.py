@@ -167,6 +167,22 @@ class ImageCollector:
             self._from_file(key, image, path, space, told)
         return key
 
+    def computed(self, key: Key, name: str, signature: Hashable, make: Callable[[], np.ndarray]) -> Key:
+        """Return the key of a picture that a node computes, and record its data if that changed.
+
+        Args:
+            key: Stays the same while the picture changes.
+            name: For messages.
+            signature: Changes when the picture does.
+            make: Returns linear colours in the working space, float32 [H, W, 3], top row first.
+        """
+        if self._known.get(key) != signature:
+            self._known[key] = signature
+            self._images[key] = ImageData(
+                name=name, pixels=make(), encoding=ColorEncoding.LINEAR, source_colorspace=self._working,
+                alpha_mode=AlphaMode.NONE)
+        return key
+
     def _finish_jobs(self) -> None:
         """Read what is to be read, several at a time."""
         jobs, self._jobs = self._jobs, {}

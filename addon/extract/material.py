@@ -13,7 +13,7 @@ from ...engine.pass_names import COLOR_AOV, VALUE_AOV
 from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
 from ...engine.scene import MaterialData, MistData, Visibility, WorldData
-from . import node_inputs, node_maths, node_textures  # noqa: F401  (they register their translators)
+from . import node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
 from .node_graph import Graph
 from .node_shaders import add_shader
 
@@ -39,6 +39,9 @@ class _NoImages:
     """Image collector of lamps, whose trees are reduced to a constant."""
 
     def key(self, image, image_user=None):
+        raise _ImageNeeded
+
+    def computed(self, key, name, signature, make):
         raise _ImageNeeded
 
 
@@ -167,14 +170,17 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
     inlined = bpy.types.InlineShaderNodes.from_world(world)
     graph = make_graph(inlined.node_tree, images, report, owner, world=True)
     output = output_node(inlined.node_tree)
+    apply_ray_visibility(data, world)
     try:
         source = graph.source(output, "Surface") if output is not None else None
         if source is not None:
+            data.sun = node_sky.world_sun(graph, source[0], owner, data.visibility, data.light_group)
+            graph.disc_rays = None if data.sun is None else int(Visibility.CAMERA)
             add_shader(graph, source[0], graph.builder.constant(1.0))
         data.program = graph.builder.finish()
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
-        graph.builder = ProgramBuilder()
+        graph.builder, data.sun = ProgramBuilder(), None
         graph.builder.emit(tuple(world.color), 1.0, 1.0)
         data.program = graph.builder.finish()
     if output is not None and graph.is_linked(output, "Volume"):
@@ -183,16 +189,20 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
     data.constant = graph.builder.constant_emission()
     if graph.widths:
         data.importance_resolution = min(max(max(graph.widths), RESOLUTION_MIN), RESOLUTION_MAX)
-    apply_world_settings(data, world)
+    apply_world_sampling(data, world)
     return data
 
 
-def apply_world_settings(data: WorldData, world: bpy.types.World) -> None:
-    """Copy Cycles' settings of the world: sampling and ray visibility."""
+def apply_world_sampling(data: WorldData, world: bpy.types.World) -> None:
+    """Copy Cycles' settings of how the world is sampled."""
     settings = getattr(world, "cycles", None)
     if getattr(settings, "sampling_method", 'AUTOMATIC') == 'MANUAL':
         data.importance_resolution = min(max(settings.sample_map_resolution, 64), RESOLUTION_MAX)
     data.sampling = getattr(settings, "sampling_method", 'AUTOMATIC') != 'NONE'
+
+
+def apply_ray_visibility(data: WorldData, world: bpy.types.World) -> None:
+    """Copy Cycles' settings of which rays see the world."""
     visibility = getattr(world, "cycles_visibility", None)
     if visibility is None:
         return

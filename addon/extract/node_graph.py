@@ -49,7 +49,7 @@ class Graph:
         Args:
             tree: Inlined node tree; its wrapper must stay alive as long as the graph.
             builder: Receives the operations.
-            images: Image collector, `key(image, image_user)`.
+            images: Image collector, `key(image, image_user)` and `computed(key, name, signature, make)`.
             report: Receives what can't be followed.
             owner: Name of the data-block for messages.
             world: Whether the tree is seen from directions instead of surface points.
@@ -66,6 +66,8 @@ class Graph:
         """Rows of the matrix from Rec.709 to the working space, None where that is Rec.709"""
         self.widths: list[int] = []
         """Widths of panoramas met, for the world's sampling table"""
+        self.disc_rays: int | None = None
+        """Kinds of rays (Visibility) to which a sky shows its sun's disc, None: all, wherever the sky is used"""
         self.links = {
             (link.to_node.name, link.to_socket.identifier): (link.from_node, link.from_socket)
             for link in tree.links if link.is_valid and not link.is_muted

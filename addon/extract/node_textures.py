@@ -241,21 +241,3 @@ def gabor_node(graph: Graph, node, output: str) -> Value:
         build.combine(*(graph.value(node, name) for name in ("Frequency", "Anisotropy", "Orientation 2D"))),
         graph.value(node, "Orientation 3D"), node.gabor_type)
     return build.component(noise, ("Value", "Phase", "Intensity").index(output))
-
-
-SKY_MEANS = {
-    'SINGLE_SCATTERING': (2.3, 2.9, 3.7), 'MULTIPLE_SCATTERING': (2.7, 4.3, 6.8), 'PREETHAM': (0.44, 0.64, 1.13),
-    'HOSEK_WILKIE': (0.06, 0.10, 0.16),
-}
-"""Mean radiance of the upper hemisphere without the sun, measured in Blender 5.2 with the node's defaults"""
-
-
-@translates("ShaderNodeTexSky")
-def sky_node(graph: Graph, node, output: str) -> Value:
-    """Sky Texture: the sky's mean colour above the horizon, nearly nothing below, no sun."""
-    build = graph.builder
-    graph.tell(node, "is not computed: the mean colour of such a sky stands in for it, without the sun")
-    up = build.component(coordinate(graph, node, "POSITION"), 2)
-    above = build.math("MAP_SMOOTHSTEP", up, -0.02, 0.02)
-    mean = SKY_MEANS.get(node.sky_type, SKY_MEANS['MULTIPLE_SCATTERING'])
-    return build.vector("MULTIPLY", mean, build.math("MULTIPLY_ADD", above, 0.97, 0.03))

@@ -92,6 +92,7 @@ class SceneExtractor:
         self._mesh_reports: dict[int, Report] = {}
         self._table: InstanceTable | None = None
         self._lights: list[LightData] | None = None
+        self._object_lights: list[LightData] = []
         self._light_factors: dict[int, tuple[tuple[float, float, float], Report]] = {}
         self._materials: dict[Hashable, tuple[MaterialData, Report]] = {}
         self._world: WorldData | None = None
@@ -181,9 +182,10 @@ class SceneExtractor:
             if depsgraph.mode == 'RENDER' and depsgraph.scene.render.use_motion_blur:
                 self._walk_report.add(ReportKind.SKIPPED, "", "motion blur is not drawn in this version")
             self._extract_meshes(delta, gathered, changes, callbacks)
-            self._extract_lights(delta, gathered, changes)
+            self._extract_lights(gathered, changes)
             self._extract_materials(delta, gathered, changes, images, callbacks)
         self._extract_world(delta, depsgraph, changes, images)
+        self._hand_over_lights(delta)
         callbacks.step("Reading images", 1.0)
         delta.images = images.images
         self.counts.images = len(delta.images)
@@ -229,7 +231,7 @@ class SceneExtractor:
         finally:
             source.owner.to_mesh_clear()
 
-    def _extract_lights(self, delta: SceneDelta, gathered: Gathered, changes: Changes) -> None:
+    def _extract_lights(self, gathered: Gathered, changes: Changes) -> None:
         lights = []
         if changes.everything:
             self._light_factors.clear()
@@ -242,6 +244,12 @@ class SceneExtractor:
                                   self._walk_report, source.light_group)
             if light is not None:
                 lights.append(light)
+        self._object_lights = lights
+
+    def _hand_over_lights(self, delta: SceneDelta) -> None:
+        """Send the lamps and the sun of the world's sky, where any of them changed."""
+        sun = self._world.sun if self._world is not None else None
+        lights = self._object_lights + ([sun] if sun is not None else [])
         if not same_lights(lights, self._lights):
             delta.lights = lights
             self.counts.lights = len(lights)

@@ -62,12 +62,20 @@ class Images:
 
     def __init__(self) -> None:
         self.keys: list[int] = []
+        self.pixels: dict[object, np.ndarray] = {}
 
     def key(self, image, image_user=None) -> int:
         """Return the image's key."""
         if image.session_uid not in self.keys:
             self.keys.append(image.session_uid)
         return image.session_uid
+
+    def computed(self, key, name, signature, make):
+        """Return the key of a picture that a node computes."""
+        if key not in self.keys:
+            self.keys.append(key)
+        self.pixels[key] = make()
+        return key
 
 
 def finish(result: object) -> None:
@@ -238,6 +246,14 @@ class Harness:
         """Put Blender's images into the scene as float texels, colour multiplied by alpha."""
         infos, texels = [], [np.zeros((1, 4), np.float32)]
         for key in self.images.keys:
+            if key in self.images.pixels:
+                pixels = self.images.pixels[key]
+                info = np.zeros((), dtype=TextureInfo.numpy_dtype())
+                info["height"], info["width"], info["levels"] = *pixels.shape[:2], 1
+                info["offset"], info["format"] = sum(map(len, texels)), 3
+                infos.append(info)
+                texels.append(np.insert(pixels.reshape(-1, 3), 3, 1.0, 1).astype(np.float32))
+                continue
             image = next(image for image in bpy.data.images if image.session_uid == key)
             width, height = image.size
             pixels = np.array(image.pixels[:], np.float32).reshape(height, width, 4)
