@@ -60,8 +60,7 @@ class CacheControl:
     live: wp.array[int]
     """[1] cells in use at the end of the frame before"""
     balance: wp.array[wp.int64]
-    """[18 * LANES, then 4 * LANES a sweep] O, S and G of the balance, before and after a frame's sweeps; light and
-    number of the hits that each sweep knew"""
+    """[2 * LANES * 9] O, S and G of the balance, before and after a frame's sweeps"""
     factors: wp.array[wp.vec3]
     """[2] factor on what cells hold, and on this frame's samples"""
     counters: wp.array[int]

@@ -30,7 +30,7 @@ from .cache_cells import (
 )
 from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
 from .cache_shade import bounce_reflectance
-from .geometry_math import is_finite3, max_component
+from .geometry_math import is_finite3
 from .hash_grid import EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key
 from .packing import rgb, unpack_normal
 from .paths import Paths
@@ -40,13 +40,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 REBALANCE_MAX = wp.constant(4.0)
 
-# Share of a source's own light that stands for a hit of which nothing is known in the first sweep of a frame; in those
-# that follow it is the mean of what is known. All of the own light would feed on itself: a white ball under a white sky
-# came out 6 % too bright.
+# Share of a source's own light that stands for a hit of which nothing is known. All of it would feed on itself: a white
+# ball under a white sky came out 6 % too bright, while a share of 0.5 leaves rooms a tenth darker for some frames. The
+# mean of what is known elsewhere would light rooms that no light reaches.
 UNKNOWN_SHARE = wp.constant(0.8)
-
-# Where the sums over a sweep's known hits begin in CacheControl.balance: light and number, one group a lane and sweep.
-KNOWN_SUMS = wp.constant(18 * LANES)
 
 
 @wp.func
@@ -207,37 +204,11 @@ def spread_cells(
     grid_out.spread[cell] = light
 
 
-@wp.func
-def add_known(control: CacheControl, sweep: int, bounce: int, light: wp.vec3):
-    """Add a hit's known light to the sums of a sweep; atomic."""
-    first = KNOWN_SUMS + (sweep * LANES + bounce % LANES) * 4
-    add_sample(control.balance, first, light)
-    wp.atomic_add(control.balance, first + 3, wp.int64(1))
-
-
-@wp.func
-def mean_known(control: CacheControl, sweep: int) -> wp.vec4:
-    """Return the mean of the light that was known in a sweep; w = hits, 0 in sweeps that never were."""
-    light = wp.vec3(0.0, 0.0, 0.0)
-    hits = float(0.0)
-    lane = int(0)
-    while sweep >= 0 and lane < LANES:
-        first = KNOWN_SUMS + (sweep * LANES + lane) * 4
-        light += wp.vec3(
-            from_fixed(control.balance[first]), from_fixed(control.balance[first + 1]),
-            from_fixed(control.balance[first + 2]))
-        hits += float(control.balance[first + 3])
-        lane = lane + 1
-    light = light / wp.max(hits, 1.0)
-    return wp.vec4(light[0], light[1], light[2], hits)
-
-
 @wp.kernel
 def spread_light(
     # In:
     views: wp.array[View],
     count: int,
-    sweep: int,
     goes_on: int,
     # Out:
     grid_out: HashGrid,
@@ -246,8 +217,8 @@ def spread_light(
 ):
     """Find anew what the cache's indirect light adds to each bounce ray; add it up for a further sweep if it `goes_on`.
 
-    Where nothing is known of a hit's cell nor about it, the mean of what the sweep before knew stands for it: black
-    would be lost, a tenth of the light of a room with white tiles.
+    Where nothing is known of a hit's cell nor about it, most of the source's own light stands for it: black would be
+    lost.
     """
     if not sweeping(views[0]):
         return
@@ -265,15 +236,9 @@ def spread_light(
         beyond = vertices_out.beyond[bounce]
         if not light[3] > 0.0 and beyond != NO_CELL:
             light = grid_out.spread[beyond]
-        reflectance = bounce_reflectance(vertices_out, slot)
-        if light[3] > 0.0:
-            if max_component(reflectance) > 0.0 and goes_on == 1 and is_finite3(rgb(light)):
-                add_known(control_out, sweep, bounce, rgb(light))
-        elif max_component(reflectance) > 0.0:
-            light = mean_known(control_out, sweep - 1)
-            if not light[3] > 0.0:
-                light = UNKNOWN_SHARE * grid_out.spread[source]
-        carried = wp.cw_mul(reflectance, rgb(light))
+        if not light[3] > 0.0:
+            light = UNKNOWN_SHARE * grid_out.spread[source]
+        carried = wp.cw_mul(bounce_reflectance(vertices_out, slot), rgb(light))
         if not is_finite3(carried):
             carried = wp.vec3(0.0, 0.0, 0.0)
     vertices_out.carried[bounce] = carried

@@ -80,6 +80,6 @@ def record_spreading(
     for sweep in range(SWEEPS):
         graph.launch(cache_spread.spread_cells, len(grid.keys), [views, control, sample_cap], [grid])
         graph.launch(
-            cache_spread.spread_light, bounces, [views, count, sweep, int(sweep + 1 < SWEEPS)],
-            [grid, control, vertices], banded=False)
+            cache_spread.spread_light, bounces, [views, count, int(sweep + 1 < SWEEPS)], [grid, control, vertices],
+            banded=False)
     graph.launch(cache_spread.measure_balance, 1, [views, 1], [control], banded=False)

@@ -55,7 +55,7 @@ from .cache_buffers import (
     record_sums,
     threads_race,
 )
-from .cache_spreading import SWEEPS, LightPhase, record_coarse_cells, record_spreading
+from .cache_spreading import LightPhase, record_coarse_cells, record_spreading
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -100,7 +100,7 @@ class RadianceCachePass:
         self.grid = self._make_grid()
         control = CacheControl()
         control.age, control.live = self._zeros(1, int), self._zeros(1, int)
-        control.balance = self._zeros((18 + 4 * SWEEPS) * int(cache_cells.LANES), wp.int64)
+        control.balance = self._zeros(2 * int(cache_cells.LANES) * 9, wp.int64)
         control.factors = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
         control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
         self.control = control
