@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fits the coefficients of the Hosek and Wilkie sky (engine/sky/hosek.npz) to pictures that Cycles draws.
+"""Fits the coefficients of the Hosek and Wilkie sky (engine/sky/hosek.txt) to pictures that Cycles draws.
 
-    python tests/fit_hosek.py engine/sky/hosek.npz
+    python tests/fit_hosek.py engine/sky/hosek.txt
 
 Cycles draws one patch for each turbidity (in half steps), albedo (0, 0.5, 1) and elevation of the sun; a patch's
 columns are zenith angles from 0 to pi, its rows azimuths from the sun's. The model's structure is known: A, B, E and H
@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
-from burnish.engine.sky.hosek import DEGREE, PLACES, bezier, curve_places, lagrange, terms  # noqa: E402
+from burnish.engine.sky.hosek import DEGREE, PLACES, bezier, curve_places, lagrange, read_tables, terms  # noqa: E402
 from burnish.engine.sky.image import TO_REC709  # noqa: E402
 from burnish.engine.sky.preetham import LOWEST  # noqa: E402
 
@@ -217,6 +217,17 @@ def smooth_knots(fit: Fit, shapes: np.ndarray) -> None:
                     shapes[t, a, c], best = shape, found
 
 
+def write_tables(path: Path, shapes: np.ndarray, weights: np.ndarray) -> None:
+    """Write what hosek.read_tables reads."""
+    lines = ["# SPDX-License-Identifier: GPL-3.0-or-later",
+             "# Made by tests/fit_hosek.py; see hosek.py. Control points: A B E H by turbidity, albedo, XYZ and place on"
+             " the curve"]
+    for heading, array in (("", shapes), ("# Products, by the same in half steps", weights)):
+        lines += [heading] if heading else []
+        lines += [" ".join(f"{value:.7g}" for value in row) for row in array.reshape(-1, array.shape[-1])]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Draw, fit and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -227,8 +238,7 @@ def main() -> None:
     fit = Fit(drawn.reshape(len(TURBIDITIES), len(ALBEDOS), len(CURVE), SIZE * SIZE, 3))
     known = None
     if output.exists():
-        with np.load(output) as stored:
-            known = stored["shapes"].astype(np.float64)
+        known, _ = read_tables(output)
     shapes = fit_knots(fit, known)
     smooth_knots(fit, shapes)
     weights, worst = np.zeros((len(TURBIDITIES), len(ALBEDOS), 3, PLACES, 5)), 0.0
@@ -238,7 +248,7 @@ def main() -> None:
         shape = low[0] * (1.0 - 0.5 * a) + low[1] * (0.5 * a)
         worst = max(worst, fit.error(shape, t, a, c))
         weights[t, a, c] = fit.project(shape, t, a, c)[1]
-    np.savez_compressed(output, shapes=shapes.astype(np.float32), weights=weights.astype(np.float32))
+    write_tables(output, shapes, weights)
     print(f"largest error {worst:.1e}, written to {output}")
 
 

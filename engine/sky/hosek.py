@@ -2,7 +2,7 @@
 """The sky of Hosek and Wilkie 2012, "An Analytic Model for Full Spectral Sky-Dome Radiance", in CIE XYZ.
 
 Its formula (equation 8) is the paper's; its coefficients, which the paper gives as a data set apart, were fitted to
-pictures that Cycles drew (tests/fit_hosek.py), and lie in hosek.npz. A, B, E and H are quintic Bezier curves over the
+pictures that Cycles drew (tests/fit_hosek.py), and lie in hosek.txt. A, B, E and H are quintic Bezier curves over the
 cube root of the sun's elevation, linear in turbidity and in the ground's albedo between their knots. The five other
 coefficients are products of two such functions, and so are exact as polynomials of twice the degree.
 """
@@ -34,8 +34,15 @@ def tables() -> tuple[np.ndarray, np.ndarray]:
     Returns:
         [TURBIDITIES, ALBEDOS, 3 of XYZ, DEGREE + 1, 4]; [2 TURBIDITIES - 1, 2 ALBEDOS - 1, 3, PLACES, 5]
     """
-    with np.load(Path(__file__).with_name("hosek.npz")) as stored:
-        return stored["shapes"].astype(np.float64), stored["weights"].astype(np.float64)
+    return read_tables(Path(__file__).with_name("hosek.txt"))
+
+
+def read_tables(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read what tests/fit_hosek.py has written; returns as tables()."""
+    rows = [line.split() for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
+    shape, products = (TURBIDITIES, ALBEDOS, 3, DEGREE + 1, 4), (2 * TURBIDITIES - 1, 2 * ALBEDOS - 1, 3, PLACES, 5)
+    count = math.prod(shape[:-1])
+    return np.array(rows[:count], np.float64).reshape(shape), np.array(rows[count:], np.float64).reshape(products)
 
 
 def curve_places() -> np.ndarray:
