@@ -23,7 +23,7 @@ VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' blender_manifest.toml)
 WHEEL_LINUX := $(shell sed -n 's,.*"\./\(wheels/.*manylinux.*\.whl\)".*,\1,p' blender_manifest.toml)
 WHEEL_WINDOWS := $(shell sed -n 's,.*"\./\(wheels/.*win_amd64\.whl\)".*,\1,p' blender_manifest.toml)
 ZIPS := dist/burnish-$(VERSION)-linux_x64.zip dist/burnish-$(VERSION)-windows_x64.zip
-SOURCES := $(shell find addon engine kernels ui -name '*.py' 2>/dev/null) __init__.py blender_manifest.toml LICENSE
+SOURCES := $(shell find addon engine kernels ui -name '*.py' -o -name 'hosek.txt' 2>/dev/null) __init__.py blender_manifest.toml LICENSE
 
 help:
 	@sed -n 's/^# make/make/p' Makefile

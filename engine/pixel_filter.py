@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from .settings import PixelFilter
@@ -12,8 +14,9 @@ __all__ = ["filter_table"]
 ENTRIES = 1025
 
 
+@functools.lru_cache(maxsize=16)
 def filter_table(kind: PixelFilter, width: float) -> np.ndarray:
-    """Return float32 [1025]: offset [px] from the pixel's centre by quantile.
+    """Return float32 [1025]: offset [px] from the pixel's centre by quantile; kept, and not to be changed.
 
     The shapes are Cycles' (scene/film.cpp): a Gaussian of exp(-2 (2 x / width)^2) cut off at 1.5 widths, and the
     four-term Blackman-Harris window, which spans two widths; a box of one pixel ignores the width.

@@ -97,6 +97,7 @@ class Session:
         self._camera: CameraData | None = None
         self._sampling_report = Report()
         self._kept_options: dict[bool, tuple[tuple, Options]] = {}
+        self._filter_shape: tuple | None = None
         self._realtime: Realtime | None = None
         self.denoiser = FinalDenoise(self.device)
         self.first_hits = FirstHits(self.device)
@@ -188,8 +189,10 @@ class Session:
             else:
                 self._realtime = None
         if change & Change.RESTART:
-            self._filter = wp.array(
-                filter_table(settings.film.pixel_filter, settings.film.filter_width), dtype=float, device=self.device)
+            shape = (settings.film.pixel_filter, settings.film.filter_width)
+            if shape != self._filter_shape:
+                self._filter_shape, self._filter = shape, wp.array(
+                    filter_table(*shape), dtype=float, device=self.device)
             self._forget_film()
         return change
 

@@ -219,9 +219,8 @@ def smooth_knots(fit: Fit, shapes: np.ndarray) -> None:
 
 def write_tables(path: Path, shapes: np.ndarray, weights: np.ndarray) -> None:
     """Write what hosek.read_tables reads."""
-    lines = ["# SPDX-License-Identifier: GPL-3.0-or-later",
-             "# Made by tests/fit_hosek.py; see hosek.py. Control points: A B E H by turbidity, albedo, XYZ and place on"
-             " the curve"]
+    lines = ["# SPDX-License-Identifier: GPL-3.0-or-later", "# Made by tests/fit_hosek.py; see hosek.py.",
+             "# Control points: A B E H by turbidity, albedo, XYZ and place on the curve"]
     for heading, array in (("", shapes), ("# Products, by the same in half steps", weights)):
         lines += [heading] if heading else []
         lines += [" ".join(f"{value:.7g}" for value in row) for row in array.reshape(-1, array.shape[-1])]

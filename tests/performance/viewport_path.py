@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -25,11 +26,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
+from burnish.addon.builds import open_session  # noqa: E402
 from burnish.addon.extract.camera import camera_from_scene  # noqa: E402
 from burnish.addon.extract.scene import SceneExtractor  # noqa: E402
 from burnish.addon.view_request import ViewRequest  # noqa: E402
 from burnish.addon.worker import ViewportWorker  # noqa: E402
 from burnish.engine.report import Report  # noqa: E402
+from burnish.engine.session import Session  # noqa: E402
+from burnish.engine.settings import RenderSettings  # noqa: E402
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
 from tests.performance.measured_session import attempt, settings_for  # noqa: E402
@@ -55,8 +59,27 @@ class HiddenViewport:
             settings, performance=replace(settings.performance, viewport_pixel_size=1),
             sampling=replace(settings.sampling, viewport_samples=1))
         self.size, self.extractor = size, SceneExtractor()
-        self.worker = ViewportWorker()
+        self.inside: dict[str, list[float]] = {"update": [], "configure": [], "step": [], "read": []}
+        self.worker = ViewportWorker(session_factory=self.open_session)
         self.worker.start()
+
+    def open_session(self, settings: RenderSettings) -> Session:
+        """Open the worker's session, whose calls are timed."""
+        session = open_session(settings)
+        for name in ("update", "configure", "step"):
+            setattr(session, name, self.timed(name, getattr(session, name)))
+        # The worker reads and packs the picture by its own method.
+        self.worker._pixels_to_draw = self.timed("read", self.worker._pixels_to_draw)
+        return session
+
+    def timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that notes its milliseconds."""
+        def run(*arguments: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            result = call(*arguments, **options)
+            self.inside[name].append((time.perf_counter() - start) * 1e3)
+            return result
+        return run
 
     @property
     def serial(self) -> int:
@@ -111,9 +134,11 @@ class HiddenViewport:
             rows.append([*np.diff(marks), marks[-1] - marks[0]])
         times = np.array(rows[WARM_UP:]).T * 1e3
         labels = ("Blender", "extraction", "view", "worker", "all")
+        inside = {name: np.median(values[-moves:]) for name, values in self.inside.items() if values}
         print(f"VIEWPORT {self.scene.name}, {name}: " + ", ".join(
             f"{label} {np.median(values):.2f} ({np.quantile(values, 0.9):.2f})"
-            for label, values in zip(labels, times, strict=True)) + " ms", flush=True)
+            for label, values in zip(labels, times, strict=True)) + " ms; of the worker "
+            + ", ".join(f"{name} {value:.2f}" for name, value in inside.items()), flush=True)
 
     def close(self) -> None:
         """End the worker."""
