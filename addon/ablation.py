@@ -187,7 +187,9 @@ class SceneAblation:
 
 
 def reshaped(camera: Any, size: tuple[int, int]) -> Any:
-    """Return a camera whose window has the shape of a picture [px]; its width and middle stay."""
+    """Return a camera whose window has the shape of a picture [px]; its width and middle stay. Panoramas stay whole."""
+    if camera.panoramic:
+        return camera
     left, right, bottom, top = camera.window
     half, middle = 0.5 * (right - left) * size[1] / size[0], 0.5 * (bottom + top)
     return dataclasses.replace(camera, window=(left, right, middle - half, middle + half))

@@ -215,7 +215,7 @@ class FinalRender:
         lit = any(name in LIGHT_PASSES for name in names)
         traced = self.denoised and not lit and self.settings.denoiser.path_traced_rest
         approximations = Report() if traced else realtime_approximations(
-            self.settings, self.facts, camera.aperture_radius)
+            self.settings, self.facts, camera.aperture_radius, camera.panoramic)
         for (kind, owner, message), count in approximations.counts.items():
             # Once, however many views there are.
             self.report.counts[kind, owner, message] = count
@@ -358,6 +358,8 @@ def stereo_camera(engine: Any, camera_object: Any, camera: CameraData) -> Camera
     axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
     eye = np.eye(4)
     eye[:3, :3], eye[:3, 3] = axes, matrix[:3, 3]
+    if camera.panoramic:
+        return dataclasses.replace(camera, transform=tuple(float(v) for v in eye.ravel()))
     left, right, bottom, top = camera.window
     fit = camera_object.data.sensor_fit
     wide = fit == 'HORIZONTAL' or (fit == 'AUTO' and right - left >= top - bottom)

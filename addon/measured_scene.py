@@ -80,6 +80,8 @@ def open_measured(path: Path, size: tuple[int, int], device: str) -> MeasuredSce
     if not opened or opened[-1].view is None:
         raise BurnishError(f"Burnish's final render of '{path}' opened no session")
     session = opened[-1]
+    if session.view.camera.panoramic:
+        raise BurnishError(f"The camera of '{path}' is panoramic and has no real-time frames; choose another")
     sampling = dataclasses.replace(session.settings.sampling, integrator=Integrator.REALTIME)
     return MeasuredScene(path.stem, session, dataclasses.replace(session.settings, sampling=sampling),
                          session.view.camera, session.extraction)

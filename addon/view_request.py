@@ -33,8 +33,8 @@ def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:
 
 
 def real_time(request: ViewRequest) -> bool:
-    """Tell whether a request is for real-time frames."""
-    return request.settings.sampling.integrator == Integrator.REALTIME
+    """Tell whether a request is for real-time frames; panoramic cameras have none."""
+    return request.settings.sampling.integrator == Integrator.REALTIME and not request.camera.panoramic
 
 
 def step_text(request: ViewRequest, done: int) -> str:

@@ -125,7 +125,8 @@ class Viewport:
             self.stop_worker()
             engine.tag_update()
         self._device = request.settings.device
-        self._approximations = realtime_approximations(request.settings, self._facts, request.camera.aperture_radius)
+        self._approximations = realtime_approximations(
+            request.settings, self._facts, request.camera.aperture_radius, request.camera.panoramic)
         if self._worker is not None and self._worker.post_view(request):
             start_timer()
         self._show(engine, region)

@@ -7,11 +7,20 @@ import math
 
 import numpy as np
 
+from ..kernels import panorama
 from ..kernels.types import FrameData
 from .errors import InvalidScene
 from .scene import CameraData, CameraKind
 
 __all__ = ["frame_row"]
+
+PANORAMAS = {
+    CameraKind.EQUIRECTANGULAR: panorama.EQUIRECTANGULAR, CameraKind.CUBE_FACE: panorama.CUBE_FACE,
+    CameraKind.MIRROR_BALL: panorama.MIRROR_BALL, CameraKind.FISHEYE_EQUIDISTANT: panorama.FISHEYE_EQUIDISTANT,
+    CameraKind.FISHEYE_EQUISOLID: panorama.FISHEYE_EQUISOLID, CameraKind.CYLINDER: panorama.CYLINDER,
+    CameraKind.FISHEYE_POLYNOMIAL: panorama.FISHEYE_POLYNOMIAL,
+}
+"""Mappings of the kernels"""
 
 FARTHEST = 1e17
 """Metres: squares of distances stay within float32"""
@@ -36,7 +45,7 @@ def frame_row(
         origin: float64 [3], the scene's origin, subtracted from the camera's position.
 
     Raises:
-        InvalidScene: The camera's transform is not finite.
+        InvalidScene: The camera's transform is not finite, or its panorama shows nothing.
     """
     row = np.zeros(1, FrameData.numpy_dtype())
     matrix = np.asarray(camera.transform, np.float64).reshape(4, 4).copy()
@@ -66,4 +75,32 @@ def frame_row(
     row["seed"] = seed
     step = 0.5 * (abs(right - left) / width + abs(top - bottom) / height)
     row["spread" if not orthographic else "pixel_size"] = step
+    if camera.panoramic:
+        _set_panorama(row, camera)
     return row
+
+
+def _set_panorama(row: np.ndarray, camera: CameraData) -> None:
+    """Fill in what a panoramic camera has beside its window."""
+    left, right, bottom, top = (float(edge) for edge in row["window"][0])
+    if not np.isfinite(row["window"]).all() or left == right or bottom == top:
+        raise InvalidScene("The camera's panorama covers nothing or too much; let its longitude, latitude or range end "
+                           "elsewhere than where it begins.")
+    row["panorama"] = int(PANORAMAS[camera.kind])
+    fisheye = camera.kind in (
+        CameraKind.FISHEYE_EQUIDISTANT, CameraKind.FISHEYE_EQUISOLID, CameraKind.FISHEYE_POLYNOMIAL)
+    if fisheye and not 0.0 < camera.fov < math.inf:
+        raise InvalidScene(f"The camera's fisheye has a field of view of {camera.fov:g}; raise it above 0.")
+    row["edge"] = 0.5 * camera.fov
+    if camera.kind in (CameraKind.MIRROR_BALL, CameraKind.FISHEYE_EQUISOLID):
+        # The radius is the sine of half the angle.
+        row["spread"] *= 2.0
+    if camera.kind == CameraKind.FISHEYE_POLYNOMIAL:
+        if not np.isfinite(camera.polynomial).all() or not any(camera.polynomial[1:]):
+            raise InvalidScene("The camera's fisheye polynomial sees one direction alone; reset its K1 to K4.")
+        numbers = [_within(factor, 0.0, -FARTHEST, FARTHEST) for factor in camera.polynomial]
+        row["polynomial_start"], row["polynomial"] = numbers[0], numbers[1:]
+        # The mean along half the picture's shorter side; textures need no more than a guess.
+        radius = 0.5 * min(abs(right - left), abs(top - bottom))
+        angle = sum(factor * radius ** power for power, factor in enumerate(numbers) if power)
+        row["spread"] *= min(abs(angle) / radius, FARTHEST)

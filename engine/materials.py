@@ -76,6 +76,8 @@ class MaterialTable:
         self.device = device
         self.uses_camera = False
         """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
+        self.uses_window = False
+        """Whether any reads the place on the film"""
         self.lean = LeanPrograms()
         """What the lean node machine can run, of the materials in use"""
         self.reflectors = Reflectors()
@@ -162,6 +164,8 @@ class MaterialTable:
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
         code = np.array(table.code, dtype=np.int32)
+        # All but the output register.
+        self.uses_window = bool((code[:, 0] & ~0xFF00 == codes.OP_INPUT | codes.INPUT_WINDOW << 16).any())
         constants = np.array(table.constants, dtype=np.float32)
         ramps = np.frombuffer(b"".join(table.ramps), dtype=np.float32).reshape(-1, 4)
         if not len(ramps):
@@ -184,7 +188,12 @@ class MaterialTable:
         matrix[:3, 3] -= origin
         rows = np.linalg.inv(matrix)[:3]
         rows[2] *= -1.0  # z forward, as Cycles has it
-        orthographic = float(camera.kind == CameraKind.ORTHOGRAPHIC)
+        if camera.panoramic:
+            # Cycles turns the space of such cameras: x along the view and z up, mirror balls y against the view.
+            x, y, z = rows
+            rows = np.array([x, -z, y] if camera.kind == CameraKind.MIRROR_BALL else [z, -x, y])
+        # Panoramas have no window: no division, so that what looks for one gets small numbers.
+        orthographic = float(camera.kind != CameraKind.PERSPECTIVE)
         block = np.vstack([rows, camera.window, (orthographic, 0.0, 0.0, 0.0)]).astype(np.float32)
         source = wp.array(block, dtype=wp.vec4, device=self.device)
         wp.copy(self._constants, source, dest_offset=codes.CONSTANT_CAMERA, count=len(block))

@@ -11,6 +11,7 @@ are worth more than frames, so that every step is a sample, but for the frames o
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -24,10 +25,11 @@ from .passes.reference import FilmBuffers, ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
-from .settings import RenderSettings
+from .scene import CameraData
+from .settings import Integrator, RenderSettings
 from .view_data import ViewTracker
 
-__all__ = ["Realtime"]
+__all__ = ["Realtime", "settings_for"]
 
 KEYS_REPEAT = 1 << 16
 """Smallest cells that the camera may jump: at twice as many the keys of the cache's cells repeat"""
@@ -202,6 +204,13 @@ class Realtime:
             self._resolved = self._blend.resolve(
                 self._film, self.pipeline.picture, self._settings.film.transparent)
         return self._resolved
+
+
+def settings_for(settings: RenderSettings, camera: CameraData) -> RenderSettings:
+    """Return the settings with which a camera's pictures are made: real-time frames project and reproject."""
+    if settings.sampling.integrator != Integrator.REALTIME or not camera.panoramic:
+        return settings
+    return replace(settings, sampling=replace(settings.sampling, integrator=Integrator.REFERENCE))
 
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:

@@ -48,7 +48,9 @@ def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
     return SceneFacts(reflective=tuple(reflective), **counts)
 
 
-def realtime_approximations(settings: RenderSettings, facts: SceneFacts, aperture_radius: float) -> Report:
+def realtime_approximations(
+    settings: RenderSettings, facts: SceneFacts, aperture_radius: float, panoramic: bool = False,
+) -> Report:
     """Return what real-time frames of a scene approximate; empty for the reference integrator.
 
     Args:
@@ -56,8 +58,13 @@ def realtime_approximations(settings: RenderSettings, facts: SceneFacts, apertur
             without end.
         facts: Of the scene's materials.
         aperture_radius: Of the camera [m]; 0 is a pinhole.
+        panoramic: Whether the camera is; then there are no frames.
     """
     report = Report()
+    if panoramic and settings.sampling.integrator == Integrator.REALTIME:
+        without = ", without debug views" if settings.debug.view else ""
+        report.add(ReportKind.INFO, "", f"panoramic cameras are path-traced{without}")
+        return report
     if settings.sampling.integrator != Integrator.REALTIME or settings.debug.view:
         return report
     until = rest_clause(settings)

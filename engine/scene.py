@@ -10,6 +10,7 @@ Arrays are copies, C-contiguous, owned by the receiver.
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
@@ -243,10 +244,17 @@ class WorldData:
 
 
 class CameraKind(enum.StrEnum):
-    """Projections."""
+    """Projections; kernels/panorama.py has those after the first two."""
 
     PERSPECTIVE = "perspective"
     ORTHOGRAPHIC = "orthographic"
+    EQUIRECTANGULAR = "equirectangular"
+    CUBE_FACE = "equiangular cubemap face"
+    MIRROR_BALL = "mirror ball"
+    FISHEYE_EQUIDISTANT = "fisheye equidistant"
+    FISHEYE_EQUISOLID = "fisheye equisolid"
+    FISHEYE_POLYNOMIAL = "fisheye lens polynomial"
+    CYLINDER = "central cylindrical"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +263,11 @@ class CameraData:
 
     Image-plane coordinates x, y run over `window` as the film's pixels run from left to right and from bottom to
     top. A perspective ray starts at the origin towards (x, y, -1) in camera space, an orthographic one at (x, y, 0)
-    towards (0, 0, -1); lens, sensor fit, shift, zoom and pixel aspect are all folded into `window`.
+    towards (0, 0, -1); lens, sensor fit, shift, zoom and pixel aspect are all folded into `window`. For panoramas x, y
+    are coordinates of the projection: longitude and latitude [rad]; angles across a cube's face [rad], -pi/4 to pi/4;
+    -1 to 1 across a mirror ball; the angle around a cylinder [rad] and the height on one of radius 1; on a fisheye's
+    plane the angle with the view axis [rad] (equidistant), its sine of half that (equisolid), or what the polynomial
+    takes. Their clip distances and the focus are distances from the camera.
     """
 
     kind: CameraKind = CameraKind.PERSPECTIVE
@@ -273,6 +285,15 @@ class CameraData:
     """0..2: round"""
     aperture_rotation: float = 0.0
     aperture_ratio: float = 1.0
+    fov: float = math.pi
+    """Fisheyes: the full angle that is seen [rad]; beyond it the picture is transparent black"""
+    polynomial: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Fisheye polynomial in the radius, from the constant on: minus the angle with the view axis [rad]"""
+
+    @property
+    def panoramic(self) -> bool:
+        """Whether it has more than a window onto the world: real-time frames, which project, don't suit it."""
+        return self.kind not in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)
 
 
 @dataclass(kw_only=True, eq=False)

@@ -30,8 +30,8 @@ from .passes.reference import FilmBuffers, ReferencePass
 from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
-from .realtime import Realtime
-from .report import Report
+from .realtime import Realtime, settings_for
+from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
 from .settings import Change, Integrator, RenderSettings, change_since
 from .warmup import warm_up
@@ -110,6 +110,8 @@ class Session:
         report = Report()
         report.merge(self._scene.report)
         report.merge(self._sampling_report)
+        if self._camera is not None and self._camera.panoramic and self._scene.material_table.uses_window:
+            report.add(ReportKind.APPROXIMATED, "", "Window coordinates are not those of the panoramic camera")
         return report
 
     def update(self, delta: SceneDelta, progress: Callable[[str, float], None] | None = None) -> None:
@@ -147,7 +149,8 @@ class Session:
         """Set what to render; anything that invalidates the samples forgets them.
 
         Args:
-            settings: All settings; the device must be the session's.
+            settings: All settings; the device must be the session's. Panoramic cameras know no real-time frames: they
+                get the reference integrator.
             camera: In world space.
             width: Of the full frame [px].
             height: Of the full frame [px].
@@ -161,6 +164,7 @@ class Session:
         crop = crop or (0, 0, width, height)
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
+        settings = settings_for(settings, camera)
         change = change_since(settings, self.settings)
         if settings.performance.opacity_maps != self.settings.performance.opacity_maps:
             self._scene.use_opacity_maps(settings.performance.opacity_maps)

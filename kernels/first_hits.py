@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from .camera import CameraRay, camera_ray, filter_offset
+from .camera import CameraRay, filter_offset
 from .filter import MAX_LAYERS, layer_point, step_past
 from .geometry_math import clamp3, max_component, mean_component
 from .intersect import MISS, Hit, closest_hit, closest_layer
 from .motion import Motion, previous_point
 from .nodes import run, world_point
+from .panorama import film_ray, panorama_film
 from .sampling import DIMENSION_FILTER, DIMENSION_LENS, pixel_seed_of, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import HOLDOUT, MATERIAL_TRANSPARENCY, VISIBLE_CAMERA, FrameData, Scene, ShadingPoint
@@ -160,12 +161,21 @@ def add_surface(
 
 
 @wp.func
+def place_on_film(frame: FrameData, point: wp.vec3) -> wp.vec2:
+    """Return where any camera shows a point [px]."""
+    if frame.panorama != 0:
+        return panorama_film(frame, point)
+    film = project(frame, point)
+    return wp.vec2(film[0], film[1])
+
+
+@wp.func
 def film_at(scene: Scene, camera: FrameData, motion: Motion, hit: Hit, position: wp.vec3) -> wp.vec2:
     """Return where a hit point of this frame is on the film of another one [px]."""
     p = position
     if motion.moved[0] == 1:
         p = p + previous_point(scene.geometry, motion, hit.instance, hit.triangle, wp.vec2(hit.u, hit.v)).displacement
-    film = project(camera, p)
+    film = place_on_film(camera, p)
     # What is behind the camera then is nowhere on the film.
     return wp.vec2(wp.clamp(film[0], -FILM_EDGE, FILM_EDGE), wp.clamp(film[1], -FILM_EDGE, FILM_EDGE))
 
@@ -176,8 +186,7 @@ def add_motion(
     weight: float,
 ):
     """Add how a surface moves on the film."""
-    center = project(frame, position)
-    now = wp.vec2(center[0], center[1])
+    now = place_on_film(frame, position)
     before = film_at(scene, others.cameras[0], others.before, hit, position) - now
     after = now - film_at(scene, others.cameras[1], others.after, hit, position)
     hits.motion[pixel] = hits.motion[pixel] + wp.vec4(before[0], before[1], after[0], after[1]) * weight
@@ -306,6 +315,7 @@ def gather_first_hits(
         film = wp.vec2(
             float(x) + 0.5 + filter_offset(filter_table, jitter[0]),
             float(y) + 0.5 + filter_offset(filter_table, jitter[1]))
-        ray = camera_ray(frame, film, sample_pair(seed, wp.uint32(sample), DIMENSION_LENS))
-        look(scene, frame, options, ids, values, others, hits_out, pixel, ray, cone)
+        ray = film_ray(frame, film, sample_pair(seed, wp.uint32(sample), DIMENSION_LENS))
+        if ray.t_max >= 0.0:
+            look(scene, frame, options, ids, values, others, hits_out, pixel, ray, cone)
         sample += 1

@@ -98,7 +98,8 @@ def add_lamps_met(
         path = queue[i]
         i = i + stride
         bounce = paths.state[path]
-        if bounce == 0:
+        # Outside of a fisheye's circle they have ended before they started.
+        if bounce == 0 or bounce == ENDED:
             forget_groups(groups_out, path)
         gathered = rgb(paths.radiance[path])
         t_max = paths.t[path]

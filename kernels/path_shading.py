@@ -121,6 +121,8 @@ def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, emissi
     axis = -wp.vec3(frame.camera_to_world[0, 2], frame.camera_to_world[1, 2], frame.camera_to_world[2, 2])
     eye = wp.vec3(frame.camera_to_world[0, 3], frame.camera_to_world[1, 3], frame.camera_to_world[2, 3])
     depth = wp.dot(point.position - eye, axis)
+    if frame.panorama != 0:
+        depth = wp.length(point.position - eye)
     uv = wp.vec2(0.0, 0.0)
     offset = scene.geometry.uv_offsets[instance.mesh, 0]
     if offset >= 0:

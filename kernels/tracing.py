@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .camera import camera_ray, filter_offset
+from .camera import filter_offset
 from .intersect import MISS, Layer, any_hit, closest_hit, closest_layer, shadow_layer
+from .panorama import film_ray
 from .paths import (
     ENDED,
     PENDING_NONE,
@@ -53,6 +54,17 @@ def meet_shadow_layer(options: Options, bounces: wp.array[int], paths: Paths, pa
         add_shadow_light(paths, options, bounces[0], path, paths.shadow_light[path])
 
 
+@wp.func
+def end_unseen(paths: Paths, path: int):
+    """End a path before it begins, where a fisheye's film shows nothing: transparent black that has met nothing."""
+    paths.state[path] = ENDED
+    paths.radiance[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    paths.throughput[path] = wp.vec3(0.0, 0.0, 0.0)
+    paths.hit[path] = wp.vec2i(MISS, MISS)
+    paths.layer[path] = wp.vec2i(MISS, MISS)
+    paths.shadow_distance[path] = 0.0
+
+
 @wp.kernel
 def generate_paths(
     # In:
@@ -75,7 +87,7 @@ def generate_paths(
     film = wp.vec2(
         float(x) + 0.5 + filter_offset(filter_table, jitter[0]),
         float(y) + 0.5 + filter_offset(filter_table, jitter[1]))
-    ray = camera_ray(frame, film, sample_pair(seed, index, DIMENSION_LENS))
+    ray = film_ray(frame, film, sample_pair(seed, index, DIMENSION_LENS))
     paths_out.state[path] = 0
     paths_out.overruns[path] = 0
     paths_out.seed[path] = seed
@@ -88,6 +100,8 @@ def generate_paths(
     paths_out.pdf[path] = 0.0
     paths_out.kind[path] = VISIBLE_CAMERA
     paths_out.cone[path] = wp.vec2(frame.pixel_size, frame.spread) * FOOTPRINT_SCALE
+    if ray.t_max < 0.0:
+        end_unseen(paths_out, path)
 
 
 @wp.kernel

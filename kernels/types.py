@@ -347,7 +347,7 @@ class FrameData:
     """Relative to the scene's origin"""
     world_to_camera: wp.mat44
     window: wp.vec4
-    """left, right, bottom, top on the image plane at distance 1 (orthographic: metres)"""
+    """left, right, bottom, top on the image plane at distance 1 (orthographic: metres; panoramas: see panorama.py)"""
     orthographic: int
     clip_start: float
     clip_end: float
@@ -371,3 +371,12 @@ class FrameData:
     """Angle between the rays of neighbouring pixels [rad]; orthographic: 0, see `pixel_size`"""
     pixel_size: float
     """Footprint of a pixel at the camera [m]; perspective: 0"""
+    panorama: int
+    """A mapping of panorama.py; 0: none, the camera is perspective or orthographic"""
+    edge: float
+    """Fisheyes: largest angle with the view axis that is seen [rad]"""
+    polynomial: wp.vec4
+    polynomial_start: float
+    """Fisheye polynomial: -angle [rad] at the centre, and factors of the first to fourth power of the radius"""
+    padding: wp.vec3
+    """The previous camera of a View begins at a multiple of 16 bytes, see wide_loads.load_previous_view"""

@@ -321,10 +321,10 @@ def load_view(rows: wp.array[View]) -> View:
     frame.spread = cone[0]
     frame.pixel_size = cone[1]
     view.camera = frame
-    jitter = view_floats(rows, 0, 27)
+    jitter = view_floats(rows, 0, 32)
     view.jitter = wp.vec2(jitter[0], jitter[1])
     view.previous_jitter = wp.vec2(jitter[2], jitter[3])
-    ages = view_ints(rows, 0, 28)
+    ages = view_ints(rows, 0, 33)
     view.frame = ages[0]
     view.rest = ages[1]
     view.light_age = ages[2]
@@ -335,30 +335,18 @@ def load_view(rows: wp.array[View]) -> View:
 
 
 @wp.func
-def joined_rows(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4) -> wp.mat44:
-    """Return an affine matrix that begins in the middle of a piece."""
-    return wp.mat44(
-        a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3], d[0], d[1], 0.0, 0.0, 0.0, 1.0)
-
-
-@wp.func
 def load_previous_view(rows: wp.array[View]) -> View:
     """Return the same as load_view and the camera of the frame before: its matrices, window and size."""
     view = load_view(rows)
     frame = view.previous
-    frame.camera_to_world = joined_rows(
-        view_floats(rows, 0, 13), view_floats(rows, 0, 14), view_floats(rows, 0, 15), view_floats(rows, 0, 16))
-    frame.world_to_camera = joined_rows(
-        view_floats(rows, 0, 17), view_floats(rows, 0, 18), view_floats(rows, 0, 19), view_floats(rows, 0, 20))
-    low = view_floats(rows, 0, 21)
-    high = view_floats(rows, 0, 22)
-    frame.window = wp.vec4(low[2], low[3], high[0], high[1])
-    frame.orthographic = view_ints(rows, 0, 22)[2]
-    size = view_ints(rows, 0, 24)
-    crop = view_ints(rows, 0, 25)
-    frame.width = size[2]
-    frame.height = size[3]
-    frame.crop_x = crop[0]
-    frame.crop_y = crop[1]
+    frame.camera_to_world = matrix_of(view_floats(rows, 0, 16), view_floats(rows, 0, 17), view_floats(rows, 0, 18))
+    frame.world_to_camera = matrix_of(view_floats(rows, 0, 20), view_floats(rows, 0, 21), view_floats(rows, 0, 22))
+    frame.window = view_floats(rows, 0, 24)
+    frame.orthographic = view_ints(rows, 0, 25)[0]
+    size = view_ints(rows, 0, 27)
+    frame.width = size[0]
+    frame.height = size[1]
+    frame.crop_x = size[2]
+    frame.crop_y = size[3]
     view.previous = frame
     return view

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...engine.errors import InvalidScene
 from ...engine.scene import CameraData, CameraKind
+from .panorama import is_panoramic, panorama_fields
 
 __all__ = ["border_from_view", "camera_from_scene", "camera_from_view"]
 
@@ -38,7 +39,7 @@ def camera_from_scene(scene: bpy.types.Scene, camera: bpy.types.Object | None, w
         pixel_aspect: Width and height of a pixel.
 
     Raises:
-        InvalidScene: There is no camera, it is panoramic, or its transform can't be used.
+        InvalidScene: There is no camera, it is a custom one, it sees nothing, or its transform can't be used.
     """
     if camera is None:
         raise InvalidScene("The scene has no camera: add one, or choose one in the scene's properties.")
@@ -48,8 +49,8 @@ def camera_from_scene(scene: bpy.types.Scene, camera: bpy.types.Object | None, w
     _check_kind(camera)
     clip_start, clip_end = _clip_range(camera)
     return CameraData(
-        kind=_kind(camera), transform=_transform(camera), clip_start=clip_start, clip_end=clip_end,
-        window=_window(camera, width * aspect[0], height * aspect[1]), **_aperture(camera))
+        transform=_transform(camera), clip_start=clip_start, clip_end=clip_end,
+        **_projection(camera, width * aspect[0], height * aspect[1]), **_aperture(camera))
 
 
 def camera_from_view(region: bpy.types.Region, rv3d: bpy.types.RegionView3D, v3d: bpy.types.SpaceView3D,
@@ -63,7 +64,7 @@ def camera_from_view(region: bpy.types.Region, rv3d: bpy.types.RegionView3D, v3d
         depsgraph: Finds the evaluated camera, for depth of field and clipping.
 
     Raises:
-        InvalidScene: The view is through a panoramic camera, or the region has no size.
+        InvalidScene: The view is through a camera that can't be used, or the region has no size.
     """
     if region.width < 1 or region.height < 1:
         raise InvalidScene("The viewport has no size.")
@@ -71,19 +72,21 @@ def camera_from_view(region: bpy.types.Region, rv3d: bpy.types.RegionView3D, v3d
     kind = CameraKind.PERSPECTIVE if projection[3, 3] == 0.0 else CameraKind.ORTHOGRAPHIC
     to_world = np.linalg.inv(np.array(rv3d.view_matrix, np.float64))
     camera = _view_camera(rv3d, v3d, depsgraph)
-    aperture = {}
+    window, aperture = {"kind": kind, "window": _window_of_projection(projection, kind)}, {}
     if camera is not None:
         _check_kind(camera)
         clip_start, clip_end = _clip_range(camera)
         aperture = _aperture(camera)
+        if is_panoramic(camera):
+            window = _panorama_in_view(camera, window["window"], depsgraph.scene.render)
     elif kind == CameraKind.ORTHOGRAPHIC:
         # Blender's orthographic views also show what lies behind the view point: start half the range behind it.
         clip_start, clip_end = 0.0, v3d.clip_end
         to_world[:3, 3] += to_world[:3, 2] / np.linalg.norm(to_world[:3, 2]) * (0.5 * v3d.clip_end)
     else:
         clip_start, clip_end = v3d.clip_start, v3d.clip_end
-    return CameraData(kind=kind, transform=_without_scale(to_world, "The viewport"), clip_start=clip_start,
-                      clip_end=clip_end, window=_window_of_projection(projection, kind), **aperture)
+    return CameraData(transform=_without_scale(to_world, "The viewport"), clip_start=clip_start,
+                      clip_end=clip_end, **window, **aperture)
 
 
 def border_from_view(region: bpy.types.Region, rv3d: bpy.types.RegionView3D, v3d: bpy.types.SpaceView3D,
@@ -123,10 +126,9 @@ def _view_camera(rv3d: bpy.types.RegionView3D, v3d: bpy.types.SpaceView3D,
 
 
 def _check_kind(camera: bpy.types.Object) -> None:
-    if camera.type == 'CAMERA' and camera.data.type not in {'PERSP', 'ORTHO'}:
-        name = "panoramic" if camera.data.type == 'PANO' else "custom"
-        raise InvalidScene(f"Camera '{camera.name}' is {name}, which is not supported: "
-                           "choose Perspective or Orthographic in its lens settings.")
+    if camera.type == 'CAMERA' and camera.data.type not in {'PERSP', 'ORTHO', 'PANO'}:
+        raise InvalidScene(f"Camera '{camera.name}' is custom, which is not supported: "
+                           "choose Perspective, Orthographic or Panoramic in its lens settings.")
 
 
 def _kind(camera: bpy.types.Object) -> CameraKind:
@@ -184,6 +186,21 @@ def _window_of_projection(projection: np.ndarray, kind: CameraKind) -> Window:
         offset = projection[row, 2] if kind == CameraKind.PERSPECTIVE else -projection[row, 3]
         edges += [float((-1.0 + offset) / scale), float((1.0 + offset) / scale)]
     return tuple(edges)
+
+
+def _projection(camera: bpy.types.Object, width: float, height: float) -> dict:
+    """Return the fields of CameraData that say what a frame of `width` by `height` shows, pixel aspect included."""
+    if is_panoramic(camera):
+        return panorama_fields(camera, (0.0, 1.0, 0.0, 1.0), width, height)
+    return {"kind": _kind(camera), "window": _window(camera, width, height)}
+
+
+def _panorama_in_view(camera: bpy.types.Object, view: Window, render: bpy.types.RenderSettings) -> dict:
+    """Return the same for a viewport: its frame lies where a perspective camera's would."""
+    frame = _render_window(camera, render)
+    part = tuple((view[i] - frame[i & 2]) / (frame[(i & 2) + 1] - frame[i & 2]) for i in range(4))
+    return panorama_fields(camera, part, render.resolution_x * render.pixel_aspect_x,
+                           render.resolution_y * render.pixel_aspect_y)
 
 
 def _render_window(camera: bpy.types.Object, render: bpy.types.RenderSettings) -> Window:

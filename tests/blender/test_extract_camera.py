@@ -165,15 +165,65 @@ finish(worst=worst, kinds=kinds, found=found, behind=[float(np.linalg.norm(behin
     assert scene_part[0] == pytest.approx(400, abs=1) and scene_part[3] == frame[3]
 
 
+def test_panoramas_in_the_viewport(run_extraction):
+    """Show the panorama where Blender draws the camera's frame, and what is around it beyond its edges."""
+    result = run_extraction(SETUP + r'''
+data.type, data.shift_x, data.shift_y, data.lens = 'PANO', 0.1, -0.05, 35
+data.dof.use_dof = True
+scene.render.resolution_x, scene.render.resolution_y = 800, 400
+scene.render.resolution_percentage = 50
+region = SimpleNamespace(width=800, height=400)
+v3d = SimpleNamespace(clip_start=0.5, clip_end=500.0, use_local_camera=False, camera=None, use_render_border=False)
+worst, kinds, wider = 0.0, [], []
+for kind in data.bl_rna.properties["panorama_type"].enum_items.keys():
+    data.panorama_type = kind
+    depsgraph, item = evaluated()
+    final = camera_from_scene(depsgraph.scene_eval, item, 800, 400)
+    window = item.calc_matrix_camera(depsgraph, x=800, y=400)
+    rv3d = SimpleNamespace(view_perspective="CAMERA", window_matrix=window,
+                           view_matrix=item.matrix_world.normalized().inverted())
+    shown = camera_from_view(region, rv3d, v3d, depsgraph)
+    kinds.append(final.kind.value)
+    worst = max(worst, *(abs(a - b) for a, b in zip(shown.window, final.window)),
+                *(abs(a - b) for a, b in zip(shown.transform, final.transform)))
+    assert (shown.kind, shown.fov, shown.polynomial) == (final.kind, final.fov, final.polynomial)
+    assert (shown.aperture_radius, shown.clip_end) == (final.aperture_radius, final.clip_end)
+    # Zoomed out: the frame is half as wide, its middle in the middle.
+    rv3d.window_matrix = Matrix.Diagonal((0.5, 0.5, 1.0, 1.0)) @ window
+    zoomed = camera_from_view(region, rv3d, v3d, depsgraph)
+    for low in (0, 2):
+        size, middle = final.window[low + 1] - final.window[low], final.window[low + 1] + final.window[low]
+        wider += [(zoomed.window[low + 1] - zoomed.window[low]) / size,
+                  1.0 + zoomed.window[low + 1] + zoomed.window[low] - middle]
+data.show_passepartout, data.passepartout_alpha = True, 1.0
+depsgraph, item = evaluated()
+finish(worst=worst, kinds=kinds, wider=wider, border=border_from_view(region, rv3d, v3d, depsgraph))
+''')
+    assert result["worst"] < 1e-4, "float32 matrices"
+    assert len(set(result["kinds"])) == 7 and not {"perspective", "orthographic"} & set(result["kinds"])
+    assert result["wider"][0::2] == pytest.approx([2.0] * 14, abs=1e-4)
+    assert result["wider"][1::2] == pytest.approx([1.0] * 14, abs=1e-3)
+    assert result["border"] == pytest.approx([200, 100, 400, 200], abs=1)
+
+
 def test_cameras_that_cannot_be_used(run_extraction):
-    """Refuse panoramas, missing cameras and broken transforms in a sentence; look through other objects."""
+    """Refuse missing and custom cameras, empty panoramas and broken transforms; look through other objects."""
     result = run_extraction(SETUP + r'''
 depsgraph, item = evaluated()
 missing = refusal(camera_from_scene, depsgraph.scene_eval, None, 10, 10)
 empty = refusal(camera_from_scene, depsgraph.scene_eval, item, 0, 10)
-data.type = 'PANO'
+data.type = 'CUSTOM'
+depsgraph, item = evaluated()
+custom = refusal(camera_from_scene, depsgraph.scene_eval, item, 10, 10)
+data.type, data.panorama_type = 'PANO', 'EQUIRECTANGULAR'
+data.latitude_min = data.latitude_max = 0.5
 depsgraph, item = evaluated()
 panorama = refusal(camera_from_scene, depsgraph.scene_eval, item, 10, 10)
+data.panorama_type = 'FISHEYE_LENS_POLYNOMIAL'
+for power in range(1, 5):
+    setattr(data, f"fisheye_polynomial_k{power}", 0.0)
+depsgraph, item = evaluated()
+polynomial = refusal(camera_from_scene, depsgraph.scene_eval, item, 10, 10)
 data.type = 'PERSP'
 camera.scale = (0, 1, 1)
 depsgraph, item = evaluated()
@@ -181,10 +231,12 @@ flat = refusal(camera_from_scene, depsgraph.scene_eval, item, 10, 10)
 spot = link("Spot", bpy.data.lights.new("Spot", 'SPOT')); spot.data.spot_size = math.radians(90)
 depsgraph, item = evaluated()
 window = camera_from_scene(depsgraph.scene_eval, spot.evaluated_get(depsgraph), 100, 100).window
-finish(missing=missing, empty=empty, panorama=panorama, flat=flat, window=window)
+finish(missing=missing, empty=empty, custom=custom, panorama=panorama, polynomial=polynomial, flat=flat, window=window)
 ''')
     assert "no camera" in result["missing"] and "0 x 10" in result["empty"]
-    assert "'Camera' is panoramic" in result["panorama"] and "Perspective" in result["panorama"]
+    assert "'Camera' is custom" in result["custom"] and "Panoramic" in result["custom"]
+    assert "panorama of camera 'Camera' ends where it begins" in result["panorama"]
+    assert "polynomial of camera 'Camera'" in result["polynomial"] and "K1" in result["polynomial"]
     assert "'Camera' has a scale of zero" in result["flat"]
     # Cycles takes a lens of 16 mm / tan(half the cone) on a 36 mm sensor.
     assert result["window"] == pytest.approx([-1.125, 1.125, -1.125, 1.125])

@@ -14,7 +14,7 @@ from burnish.addon.picture import pack_colors
 from burnish.addon.view_request import ViewRequest, divided_crop, picture_area, restarts
 from burnish.addon.worker import ViewportWorker
 from burnish.engine.errors import DeviceUnavailable
-from burnish.engine.scene import CameraData, SceneDelta
+from burnish.engine.scene import CameraData, CameraKind, SceneDelta
 from burnish.engine.settings import (
     DebugSettings,
     Integrator,
@@ -280,6 +280,15 @@ def test_resize_storm(make_worker):
     worker.post_view(last)
     until(lambda: not worker.status.busy)
     assert worker.picture.pixels.shape == (21, 33) and worker.picture.samples == 8
+
+
+def test_panoramas_are_samples(make_worker):
+    """Refine a panoramic view from coarse pixels as path-traced ones, and say samples, whatever the integrator is."""
+    worker = make_worker()
+    worker.post_scene(SceneDelta(full=True))
+    worker.post_view(frames(view="gbuffer.normal", camera=CameraData(kind=CameraKind.EQUIRECTANGULAR)))
+    until(lambda: not worker.status.busy)
+    assert worker.status.text == "Sample 8/8" and worker.picture.samples == 8
 
 
 def test_crop_is_rendered_alone(make_worker):
