@@ -31,8 +31,8 @@ from .view_data import ViewTracker
 
 __all__ = ["Realtime", "settings_for"]
 
-KEYS_REPEAT = 1 << 16
-"""Smallest cells that the camera may jump: at twice as many the keys of the cache's cells repeat"""
+KEYS_REPEAT = 1 << 14
+"""Smallest cells that the camera may jump: at twice as many the keys of the cache's flat cells repeat"""
 LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 

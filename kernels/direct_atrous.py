@@ -20,6 +20,7 @@ from .filter_weights import (
     inside,
     inverse_root,
     pixel_plane,
+    roughness_weight,
     sharp_normal_weight,
     squared_cosine,
     surface_weight,
@@ -136,12 +137,12 @@ def filtered(sums: FilterSums, centre: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def add_pair(sums: PairSums, centre: LightPair, tap: LightPair, weight: float) -> PairSums:
-    """Return the sums after one tap; each signal is weighed by its own noise."""
+def add_pair(sums: PairSums, centre: LightPair, tap: LightPair, weight: float, alike: float) -> PairSums:
+    """Return the sums after one tap; each signal is weighed by its own noise, specular light by `alike` too."""
     out = sums
     out.diffuse = add_tap(sums.diffuse, tap.diffuse, weight * noise_weight(
         brightness(rgb(centre.diffuse)), own_variance(centre.diffuse), brightness(rgb(tap.diffuse)), tap.diffuse[3]))
-    out.specular = add_tap(sums.specular, tap.specular, weight * noise_weight(
+    out.specular = add_tap(sums.specular, tap.specular, weight * alike * noise_weight(
         brightness(rgb(centre.specular)), own_variance(centre.specular), brightness(rgb(tap.specular)),
         tap.specular[3]))
     return out
@@ -260,12 +261,10 @@ def filter_direct_first(
 
     Changes are found by short against long means over 3x3 pixels: over one alone the first hit of a rarely seen lamp
     would look like a change, and so would its absence.
-    Banded over pixels; of `history_out` only the own pixel's means and length are changed, and neighbours' moments
-    read. 64 bytes a pixel: 46 read (surface 12, light 16, moments 8, length 2; nine pixels, cached), 18 written; 16
-    more where the history is short.
+    Banded over pixels; of `history_out` only the own pixel's means and length are changed. 68 bytes a pixel: 50 read
+    (surface 16, light 16, moments 8, length 2; nine pixels, cached), 18 written; 16 more where the history is short.
 
     In detail:
-        first: Of the band.
         filtering: 0: light is passed on as it is; only look for changes.
         last: 1: nothing follows; w becomes 1 where light is known, else 0.
         diffuse: pack_halves of mean and standard deviation, as accumulate_direct writes it.
@@ -281,6 +280,7 @@ def filter_direct_first(
         blur = blur_strength(view)
         plane = pixel_plane(view, gbuffer, width, pixel)
         own = gbuffer.normal[pixel]
+        material = gbuffer.material[pixel]
         normal = unit_normal(own)
         x = pixel % width
         y = pixel // width
@@ -298,18 +298,19 @@ def filter_direct_first(
                 if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                     w = float(0.0)
                 # (1, 2, 1) / 4 both ways
-                sums = add_pair(sums, light, tap, w * blur * (0.125 if index % 2 == 1 else 0.0625))
+                share = w * blur * (0.125 if index % 2 == 1 else 0.0625)
+                sums = add_pair(sums, light, tap, share, roughness_weight(material, gbuffer.material[q]))
                 if moving > 0.0:
                     change = add_change(change, tap, unpack_halves(history_out.moments[q]), w)
         if filtering == 1:
             unfiltered = light
             light = filtered_pair(sums, unfiltered)
-            share = 1.0 - (length - 1.0) / (FEEDBACK_FRAMES - 1.0)
-            if length > 0.0 and share > 0.0:
+            short = 1.0 - (length - 1.0) / (FEEDBACK_FRAMES - 1.0)
+            if length > 0.0 and short > 0.0:
                 history_out.diffuse[pixel] = pack_mean(
-                    wp.lerp(rgb(unfiltered.diffuse), rgb(light.diffuse), wp.min(share, 1.0)))
+                    wp.lerp(rgb(unfiltered.diffuse), rgb(light.diffuse), wp.min(short, 1.0)))
                 history_out.specular[pixel] = pack_mean(
-                    wp.lerp(rgb(unfiltered.specular), rgb(light.specular), wp.min(share, 1.0)))
+                    wp.lerp(rgb(unfiltered.specular), rgb(light.specular), wp.min(short, 1.0)))
         if length > 0.0 and moving > 0.0 and change.weight > 1.0e-6:
             threshold = wp.where(signed_length < 0.0, CHANGING_DEVIATIONS, CHANGE_DEVIATIONS)
             scale = 1.0 / change.weight
@@ -341,7 +342,7 @@ def filter_direct(
 ):
     """Further pass of the a-trous filter (SVGF, section 4.3); banded over pixels.
 
-    44 bytes a pixel: 28 read (surface 12, light 16; five pixels, cached), 16 written.
+    48 bytes a pixel: 32 read (surface 16, light 16; five pixels, cached), 16 written.
 
     In detail:
         first: Of the band.
@@ -360,6 +361,7 @@ def filter_direct(
         view = load_view(views)
         plane = pixel_plane(view, gbuffer, width, pixel)
         own = gbuffer.normal[pixel]
+        material = gbuffer.material[pixel]
         normal = unit_normal(own)
         blur = TAP_WEIGHT * blur_strength(view)
         x = pixel % width
@@ -376,7 +378,7 @@ def filter_direct(
             tap = load_light(diffuse, specular, q)
             if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
                 w = float(0.0)
-            sums = add_pair(sums, centre, tap, w)
+            sums = add_pair(sums, centre, tap, w, roughness_weight(material, gbuffer.material[q]))
         light = filtered_pair(sums, centre)
     light = finished(light, last)
     diffuse_out[pixel] = pack_halves(light.diffuse)

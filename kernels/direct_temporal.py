@@ -246,6 +246,11 @@ def accumulate_direct(
     if gbuffer.depth[pixel] < SKY_DEPTH:
         if view.restart == 0:
             m = gather_direct(history, previous_gbuffer, position, taps, pixel, width, height)
+        if (gbuffer.material[pixel] & wp.uint32(65535)) == wp.uint32(0):
+            # Where a pixel on the edge of a mirror showed its frame before, the history is the frame's.
+            m.specular = wp.vec3(0.0, 0.0, 0.0)
+            m.moments[1] = 0.0
+            m.moments[3] = 0.0
         if d[3] > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
             zero = wp.vec3(0.0, 0.0, 0.0)
             cap = history_cap(view.rest, view.light_age, frames)

@@ -16,6 +16,11 @@ from .view import SKY_DEPTH, View, film_position, pixel_footprint
 # Luminance (Rec. 709) for statistics and weights only, never for colours; the working space need not be known here.
 WEIGHTS = wp.constant(wp.vec3(0.2126, 0.7152, 0.0722))
 
+# Difference of roughness at which specular light is no longer shared: a share of the greater one, and in units of
+# GBuffer.material (a twentieth).
+ROUGHNESS_SHARE = wp.constant(0.5)
+ROUGHNESS_SLACK = wp.constant(3277.0)
+
 
 @wp.struct
 class PixelPlane:
@@ -142,6 +147,17 @@ def smooth_normal_weight(square: float) -> float:
     a = wp.max(square * (4.0 / 3.0) - 1.0 / 3.0, 0.0)
     a = a * a
     return a * a * a
+
+
+@wp.func
+def roughness_weight(a: wp.uint32, b: wp.uint32) -> float:
+    """Return the weight of a neighbour for specular light by both pixels' GBuffer.material: 1 for the same roughness.
+
+    0 from a difference of half of the greater one on: a lamp's highlight on a board says nothing of the mirror in it.
+    """
+    x = float(a & wp.uint32(65535))
+    y = float(b & wp.uint32(65535))
+    return wp.max(1.0 - wp.abs(x - y) / (ROUGHNESS_SHARE * wp.max(x, y) + ROUGHNESS_SLACK), 0.0)
 
 
 @wp.func

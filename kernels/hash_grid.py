@@ -34,6 +34,10 @@ EMPTY = wp.constant(wp.int64(0))
 # border of two cells, where rounding would deal their samples to both.
 LIFT = wp.constant(0.3)
 
+# Thickness of a cell along the axis of its face, by its width: layers that hang close before each other (a curtain
+# before a wall) face the same way in different light.
+THICKNESS = wp.constant(0.25)
+
 # Exact diagonals are common too: normals there belong to x before y before z, whichever way they are rounded.
 FACE_BIAS_Y = wp.constant(0.995)
 FACE_BIAS_Z = wp.constant(0.99)
@@ -167,9 +171,9 @@ def cell_key(grid: HashGrid, level: int, position: wp.vec3, normal: wp.vec3, dir
         key = (key << wp.uint64(7)) | wp.uint64(direction_bits(direction))
         return wp.int64(key | (wp.uint64(1) << wp.uint64(62)))
     face = normal_face(normal)
-    lift = wp.where(face % 2 == 1, -LIFT, LIFT) * size
+    axis = face // 2
     p = position
-    p[face // 2] = p[face // 2] + lift
+    p[axis] = p[axis] / THICKNESS + wp.where(face % 2 == 1, -LIFT, LIFT) * size
     cell = wrapped(cell_index(p[0], size), 17)
     cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[1], size), 17)
     cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[2], size), 17)

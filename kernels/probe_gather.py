@@ -16,7 +16,7 @@ from .geometry_math import luminance, to_frame
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE
-from .probe_spawn import probe_cell, separated
+from .probe_spawn import LAYER_SHARE, probe_cell, separated, surface_distance
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
 from .wide_loads import load_vec4h, load_view
@@ -97,6 +97,8 @@ def related(pool: ProbePool, slot: int, position: wp.vec3, normal: wp.vec3, cell
     n = unpack_normal(pool.normal[slot])
     offset = pool.position[slot] - position
     if wp.abs(wp.dot(normal, offset)) > cell or wp.abs(wp.dot(n, offset)) > cell or wp.dot(n, normal) < RELATED_NORMAL:
+        return False
+    if surface_distance(normal, n, offset) > LAYER_SHARE * cell:
         return False
     return not separated(pool, slot, position)
 

@@ -18,7 +18,7 @@ from .packing import rgb, to_half, unpack_normal
 from .probe_gather import in_tiles
 from .probe_map import CORRECTION_COSINE, COSINE_1, COSINE_2, cell_of, to_local
 from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER, RECORD_NORMAL, WorldBands, world_basis
-from .probe_spawn import SEPARATION, probe_cell
+from .probe_spawn import LAYER_SHARE, SEPARATION, probe_cell, surface_distance
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .view import View
 from .wide_loads import load_piece, load_view
@@ -43,6 +43,11 @@ LEAST_WEIGHT = wp.constant(1.0e-4)
 
 # Confidence that marks a pixel for fill_gaps.
 UNFILLED = wp.constant(-1.0)
+
+# How fast probes lose weight across the surface, from LAYER_SHARE on, and what is left of it: where there is nothing
+# else, they count.
+LAYER_STEEP = wp.constant(10.0)
+LAYER_LEAST = wp.constant(0.01)
 
 RATIO_MAX = wp.constant(8.0)
 
@@ -155,6 +160,9 @@ def record_weight(
     if SEPARATION * distance > wp.cast(film[2], float) and distance >= 1.0e-9:
         if hidden(pool, int(film[3]), n, offset, distance):
             return none
+    layer = surface_distance(p.surface.geometric_normal, n, offset) / (LAYER_SHARE * p.cell)
+    layer = layer * layer
+    w = w * wp.max(1.0 / (1.0 + layer * layer * LAYER_STEEP), LAYER_LEAST)
     c2 = cosine * cosine
     c4 = c2 * c2
     return wp.vec4(w * plane * plane * c4 * c4, n[0], n[1], n[2])
@@ -224,9 +232,10 @@ def blend_around(
             film = load_piece(records, base)
             other = load_piece(records, base + RECORD)
             found = record_weight(records, base, film, pool, p, reach)
-            if found[0] == 0.0:
+            second = record_weight(records, base + RECORD, other, pool, p, reach)
+            if second[0] > found[0]:
                 base = base + RECORD
-                found = record_weight(records, base, other, pool, p, reach)
+                found = second
             if found[0] > 0.0:
                 total = add_record(
                     records, base, grid, p, found[0], wp.vec3(found[1], found[2], found[3]), total)

@@ -9,7 +9,16 @@ from .gbuffer import GBuffer, Surface, barycentrics_of, load_material, load_surf
 from .geometry_math import luminance
 from .intersect import Hit, surface_point
 from .packing import pack_normal, unpack_normal
-from .probe_spawn import WINDOW_STEP, may_wait, on_surface, separated, served_tile
+from .probe_spawn import (
+    LAYER_SHARE,
+    WINDOW_STEP,
+    may_wait,
+    on_surface,
+    probe_cell,
+    separated,
+    served_tile,
+    surface_distance,
+)
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .sampling import hashed_unit
 from .types import Scene
@@ -44,7 +53,11 @@ def free_slot(grid: ProbeGrid, pool: ProbePool, update: int, frame: int) -> int:
 @wp.func
 def is_same_place(view: View, pool: ProbePool, slot: int, s: Surface) -> bool:
     """Return whether a probe of a tile may be moved to a surface point of the tile."""
-    if not on_surface(view, s, pool.position[slot], unpack_normal(pool.normal[slot])):
+    n = unpack_normal(pool.normal[slot])
+    if not on_surface(view, s, pool.position[slot], n):
+        return False
+    apart = surface_distance(s.geometric_normal, n, pool.position[slot] - s.position)
+    if apart > LAYER_SHARE * probe_cell(view, s.depth):
         return False
     return not separated(pool, slot, s.position)
 

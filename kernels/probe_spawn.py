@@ -38,6 +38,10 @@ SEPARATION = wp.constant(0.8)
 SETTLED_FRAMES = wp.constant(16.0)
 SETTLED_COUNT = wp.constant(4.0)
 
+# Share of a tile's width by which probes and places of one surface may lie apart across it (surface_distance): a
+# curtain hangs less than a tile's width before its wall, in other light.
+LAYER_SHARE = wp.constant(0.25)
+
 SLOT_BITS = wp.constant(wp.int64(4294967295))
 
 
@@ -53,6 +57,15 @@ def on_surface(view: View, s: Surface, position: wp.vec3, normal: wp.vec3) -> bo
     if not has_surface(s):
         return False
     return plane_distance(s, position) < probe_cell(view, s.depth) and wp.dot(s.geometric_normal, normal) > SAME_NORMAL
+
+
+@wp.func
+def surface_distance(n: wp.vec3, m: wp.vec3, offset: wp.vec3) -> float:
+    """Return how far two points lie apart across the surface that their normals n and m suggest [m].
+
+    Along the mean of the normals: 0 on planes and on all arcs, whose chords lean from both tangent planes alike.
+    """
+    return wp.abs(wp.dot(n + m, offset)) / wp.max(wp.length(n + m), 1.0e-3)
 
 
 @wp.func
@@ -181,10 +194,11 @@ def claim_other_surfaces(
         return
     view = views[0]
     n = unpack_normal(pool.normal[winner])
-    offset = wp.abs(wp.dot(n, pool.position[slot] - pool.position[winner]))
-    cell = probe_cell(view, project(view.camera, pool.position[winner])[2])
+    other = unpack_normal(pool.normal[slot])
+    offset = surface_distance(n, other, pool.position[slot] - pool.position[winner])
+    cell = LAYER_SHARE * probe_cell(view, project(view.camera, pool.position[winner])[2])
     apart = separated(pool, winner, pool.position[slot]) or separated(pool, slot, pool.position[winner])
-    if apart or offset > cell or wp.dot(n, unpack_normal(pool.normal[slot])) < SAME_NORMAL:
+    if apart or offset > cell or wp.dot(n, other) < SAME_NORMAL:
         key = (wp.int64(pool.updated[slot]) << wp.int64(32)) | wp.int64(slot)
         wp.atomic_max(tiles_out.claim_other, tile, key)
 

@@ -58,7 +58,7 @@ class HiddenViewport:
         self.settings = replace(
             settings, performance=replace(settings.performance, viewport_pixel_size=1),
             sampling=replace(settings.sampling, viewport_samples=1))
-        self.size, self.extractor = size, SceneExtractor()
+        self.size, self.extractor, self.extraction = size, SceneExtractor(), 0.0
         self.inside: dict[str, list[float]] = {"update": [], "configure": [], "step": [], "read": []}
         self.worker = ViewportWorker(session_factory=self.open_session)
         self.worker.start()
@@ -86,10 +86,11 @@ class HiddenViewport:
         """Number of the newest picture."""
         return self.worker.picture.serial if self.worker.picture is not None else -1
 
-    def extract(self) -> None:
-        """Hand what has changed in Blender to the worker."""
-        graph = bpy.context.evaluated_depsgraph_get()
-        self.worker.post_scene(self.extractor.extract(graph, viewport=False, report=Report()))
+    def extract(self, graph: bpy.types.Depsgraph) -> None:
+        """Hand what has changed in Blender to the worker; inside a handler, where the graph knows what has."""
+        start = time.perf_counter()
+        self.worker.post_scene(self.extractor.extract(graph, viewport=True, report=Report()))
+        self.extraction = time.perf_counter() - start
 
     def view(self) -> None:
         """Ask for the camera's view."""
@@ -117,21 +118,25 @@ class HiddenViewport:
 
     def measure(self, name: str, move: Callable[[int], None], moves: int, *, edits: bool) -> None:
         """Time single moves: from the change to the first picture that shows it."""
+        def handler(_: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
+            self.extract(graph)
+
         rows = []
         for index in range(WARM_UP + moves):
             self.settle()
-            serial, marks = self.serial, [time.perf_counter()]
+            self.extraction, serial, start = 0.0, self.serial, time.perf_counter()
             move(index)
-            bpy.context.view_layer.update()
-            marks.append(time.perf_counter())
             if edits:
-                self.extract()
-            marks.append(time.perf_counter())
+                bpy.app.handlers.depsgraph_update_post.append(handler)
+            bpy.context.view_layer.update()
+            bpy.app.handlers.depsgraph_update_post.clear()
+            evaluated = time.perf_counter()
             self.view()
-            marks.append(time.perf_counter())
+            asked = time.perf_counter()
             self.wait(serial)
-            marks.append(time.perf_counter())
-            rows.append([*np.diff(marks), marks[-1] - marks[0]])
+            end = time.perf_counter()
+            rows.append([
+                evaluated - start - self.extraction, self.extraction, asked - evaluated, end - asked, end - start])
         times = np.array(rows[WARM_UP:]).T * 1e3
         labels = ("Blender", "extraction", "view", "worker", "all")
         inside = {name: np.median(values[-moves:]) for name, values in self.inside.items() if values}
@@ -158,7 +163,7 @@ def measure(file: Path, options: argparse.Namespace) -> None:
     """Measure one scene."""
     viewport = HiddenViewport(file, tuple(options.size), options.device)
     try:
-        viewport.extract()
+        viewport.extract(bpy.context.evaluated_depsgraph_get())
         viewport.view()
         viewport.wait(-1)
         camera, item = viewport.scene.scene.camera, movable()

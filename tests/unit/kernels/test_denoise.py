@@ -74,6 +74,12 @@ def weigh_normals(normals: wp.array[wp.uint32], out: wp.array[wp.vec2]):
 
 
 @wp.kernel
+def weigh_roughness(a: wp.array[wp.uint32], b: wp.array[wp.uint32], out: wp.array[wp.vec2]):
+    i = wp.tid()
+    out[i] = wp.vec2(filter_weights.roughness_weight(a[i], b[i]), filter_weights.roughness_weight(b[i], a[i]))
+
+
+@wp.kernel
 def decode_normals(packed: wp.array[wp.uint32], centre: wp.vec3, out: wp.array[wp.vec2]):
     i = wp.tid()
     n = unpack_normal(packed[i])
@@ -195,6 +201,17 @@ def test_normals_apart_have_no_weight():
     found = run(weigh_normals, [packed], wp.vec2, 4)
     assert found[0].tolist() == [1.0, 1.0]
     assert found[1:].max() < 1e-9 and (found[2:, 0] == 0.0).all()
+
+
+def test_mirrors_take_no_highlights_from_their_frames():
+    """Weigh roughness the same from either side: 1 for the same, whatever flags say; none for a mirror in wood."""
+    rough = np.array([0.0, 0.387, 0.387, 0.3])
+    other = np.array([0.387, 0.387, 0.45, 0.9])
+    words = [wp.array((np.round(r * 65535).astype(np.uint32) | flags), dtype=wp.uint32, device="cpu")
+             for r, flags in ((rough, np.uint32(1 << 20)), (other, np.uint32(0)))]
+    found = run(weigh_roughness, words, wp.vec2, 4)
+    assert (found[:, 0] == found[:, 1]).all()
+    assert found[0, 0] == 0.0 and found[1, 0] == 1.0 and 0.5 < found[2, 0] < 1.0 and found[3, 0] == 0.0
 
 
 def test_normals_are_decoded_the_short_way():

@@ -185,6 +185,19 @@ def test_bumps_do_not_split_cells(device, axis):
     assert len(np.unique(keys)) == 1
 
 
+@pytest.mark.parametrize("side", AXES)
+def test_layers_share_no_cell(device, side):
+    """Tell layers apart that face the same way a third of a cell's width from each other: curtains before walls."""
+    grid = make_grid(device)
+    size = 9.765625e-4 * 2.0**8
+    points = np.array([0.4 * size + 0.0 * side, 0.4 * size + 0.3 * size * side])
+    keys, _ = keys_of(grid, 8, points, np.array([side, side]), device)
+    assert keys[0] != keys[1]
+    aside = points[:1] + 0.3 * size * (1.0 - np.abs(side)) * [1.0, 0.5, 0.7]
+    found, _ = keys_of(grid, 8, np.concatenate([points[:1], aside]), np.array([side, side]), device)
+    assert found.tolist() == [keys[0]] * 2
+
+
 def test_diagonal_normals_have_one_face(device):
     """Give exact diagonals the same face however they are rounded."""
     rng = np.random.default_rng(2)

@@ -69,6 +69,18 @@ def round_halves(
 
 
 @wp.kernel
+def measure_layers(
+    # In:
+    first: wp.array[wp.vec3], second: wp.array[wp.vec3], offsets: wp.array[wp.vec3],
+    # Out:
+    distances_out: wp.array[float],
+):
+    """Write the distance across the surface between two points."""
+    i = wp.tid()
+    distances_out[i] = probe_spawn.surface_distance(first[i], second[i], offsets[i])
+
+
+@wp.kernel
 def serve(
     # In:
     free: int, empty: int, frame: int, empty_list: wp.array[int],
@@ -169,3 +181,18 @@ def test_patching_is_a_bijection(free, empty):
         served = served[served >= 0]
         assert len(served) == min(free, empty)
         assert len(np.unique(served)) == len(served)
+
+
+def test_distance_across_a_surface():
+    """Give arcs none, however far they bend away from the tangent planes, and layers the distance between them."""
+    angles = np.array([0.1, 0.3, 0.6])
+    arc = np.stack([np.sin(angles), np.zeros(3), np.cos(angles)], 1)
+    top = np.broadcast_to([0.0, 0.0, 1.0], (3, 3))
+    offsets = (arc - top) * 5.0
+    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu") for x in (top, arc, offsets)]
+    (found,) = run(measure_layers, 3, arrays, [float])
+    assert np.abs(offsets[2, 2]) > 0.8 and np.abs(found).max() < 1e-5
+    layer = np.array([[0.7, -0.4, 0.12]] * 3)
+    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu") for x in (top, top, layer)]
+    (found,) = run(measure_layers, 3, arrays, [float])
+    assert found == pytest.approx(np.full(3, 0.12), rel=1e-5)
