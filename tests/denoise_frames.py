@@ -53,6 +53,8 @@ class Frames:
         self.gbuffer.depth = wp.array(depths.copy(), dtype=float, device=DEVICE)
         for name in ("normal", "geometric_normal"):
             setattr(self.gbuffer, name, wp.array(normals.reshape(-1), dtype=wp.uint32, device=DEVICE))
+        # Half rough everywhere.
+        self.gbuffer.material = wp.full(count, 32768, dtype=wp.uint32, device=DEVICE)
         self.reprojection = Reprojection()
         self.reprojection.position = wp.zeros(count, dtype=wp.vec2, device=DEVICE)
         self.reprojection.taps = wp.zeros(count, dtype=wp.uint8, device=DEVICE)
