@@ -87,9 +87,7 @@ def _set_panorama(row: np.ndarray, camera: CameraData) -> None:
         raise InvalidScene("The camera's panorama covers nothing or too much; let its longitude, latitude or range end "
                            "elsewhere than where it begins.")
     row["panorama"] = int(PANORAMAS[camera.kind])
-    fisheye = camera.kind in (
-        CameraKind.FISHEYE_EQUIDISTANT, CameraKind.FISHEYE_EQUISOLID, CameraKind.FISHEYE_POLYNOMIAL)
-    if fisheye and not 0.0 < camera.fov < math.inf:
+    if camera.kind.fisheye and not 0.0 < camera.fov < math.inf:
         raise InvalidScene(f"The camera's fisheye has a field of view of {camera.fov:g}; raise it above 0.")
     row["edge"] = 0.5 * camera.fov
     if camera.kind in (CameraKind.MIRROR_BALL, CameraKind.FISHEYE_EQUISOLID):

@@ -54,18 +54,16 @@ def make_stream(device: str, level: int) -> wp.Stream:
     return stream
 
 
-def keep_priorities(graph: wp.Graph) -> bool:
-    """Instantiate a captured graph so that its kernels keep their priorities; return whether that could be done.
+def keep_priorities(graph: wp.Graph) -> None:
+    """Instantiate a captured graph so that its kernels keep their priorities.
 
-    Where it can't, Warp instantiates the graph when it is launched: slower, with the same results.
+    Where that can't be done, Warp instantiates the graph when it is launched: slower, with the same results.
     """
     driver = _driver()
     if driver is None or getattr(graph, "graph", None) is None or getattr(graph, "graph_exec", 0) is not None:
-        return False
+        return
     executable = ctypes.c_void_p()
     with wp.ScopedDevice(graph.device):
         failed = driver.cuGraphInstantiateWithFlags(ctypes.byref(executable), graph.graph, USE_NODE_PRIORITY) != 0
-    if failed or not executable:
-        return False
-    graph.graph_exec = executable
-    return True
+    if executable and not failed:
+        graph.graph_exec = executable

@@ -299,8 +299,8 @@ class Pipeline:
                 self.direct.record_emitters(graph, kernels_scene, scene.local_power)
         smallest = smallest_cell(self._settings.cache, scene.radius)
         cache_scene = {
-            "threshold": self.split.threshold, "filtered": filtered, "programs": programs, "all_lean": lean.flat,
-            "lean_layers": lean.transparency, "world": scene.world_texels}
+            "minimum_cell": smallest, "threshold": self.split.threshold, "filtered": filtered, "programs": programs,
+            "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels}
         self.cache.record_pending(
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
@@ -328,8 +328,8 @@ class Pipeline:
             direct = self._record_direct(graph, parity, scene, views, surfaces) if lit else self._black
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         self.cache.record(
-            graph, parity, kernels_scene, views, rays, count, minimum_cell=smallest, gbuffer=surfaces, started=True,
-            after=branches, phase=phase, **cache_scene)
+            graph, parity, kernels_scene, views, rays, count, gbuffer=surfaces, started=True, after=branches,
+            phase=phase, **cache_scene)
         graph.join(REPROJECTION)
         shown = {}
         for each in traced:

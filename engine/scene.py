@@ -256,6 +256,12 @@ class CameraKind(enum.StrEnum):
     FISHEYE_POLYNOMIAL = "fisheye lens polynomial"
     CYLINDER = "central cylindrical"
 
+    @property
+    def fisheye(self) -> bool:
+        """Whether it shows what lies within an angle of the view axis, CameraData.fov."""
+        return self in (
+            CameraKind.FISHEYE_EQUIDISTANT, CameraKind.FISHEYE_EQUISOLID, CameraKind.FISHEYE_POLYNOMIAL)
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraData:

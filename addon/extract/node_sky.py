@@ -111,7 +111,7 @@ def sky_node(graph: Graph, node, output: str) -> Value:
 def picture(graph: Graph, kind: str, node, signature: tuple, pixels: np.ndarray) -> Hashable:
     """Hand over a picture and return its key; a world's keeps its key while it changes."""
     key = (kind, graph.owner, node.name) if graph.world else (kind, signature)
-    return graph.images.computed(key, f"{kind} of {graph.owner}", signature, lambda: pixels)
+    return graph.images.computed(key, f"{kind} of {graph.owner}", signature, pixels.copy)
 
 
 def disc_value(graph: Graph, node, disc: SunDisc, direction: Value, signature: tuple) -> Value:

@@ -55,7 +55,7 @@ def panorama_fields(camera: bpy.types.Object, part: Window, width: float, height
     across = [left + (right - left) * (edge + data.shift_x) for edge in part[:2]]
     up = [bottom + (top - bottom) * (edge + data.shift_y) for edge in part[2:]]
     fields = {"kind": kind, "window": (*across, *up)}
-    if kind in (CameraKind.FISHEYE_EQUIDISTANT, CameraKind.FISHEYE_EQUISOLID, CameraKind.FISHEYE_POLYNOMIAL):
+    if kind.fisheye:
         if not data.fisheye_fov > 0.0:
             raise InvalidScene(f"Camera '{camera.name}' has a fisheye with a field of view of 0: raise it in its lens "
                                "settings.")

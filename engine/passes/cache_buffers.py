@@ -13,9 +13,6 @@ from ...kernels import (
     cache_rays,
     compaction,
     flat_tracing,
-    shadow_layers,
-    shadow_layers_lean,
-    tracing,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
@@ -24,9 +21,9 @@ from ...kernels.paths import Paths
 from ...kernels.types import Closure, Scene
 from ..device import launch
 from ..frame_graph import FrameGraph
-from ..shadow_rays import make_options
 from ..structures import is_flat
-from ..work_list import WorkList, one_number
+from ..work_list import WorkList
+from .layer_rays import record_shadow_layers
 
 __all__ = ["count_rays", "record_insertion", "record_shadow_rays", "record_sums", "threads_race"]
 
@@ -125,21 +122,10 @@ def record_shadow_rays(
         lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
         programs: Whether lights may be programs (DeviceScene.has_hit_programs).
     """
-    flat = is_flat(scene)
-    trace = flat_tracing.trace_flat_cache_shadows if flat else cache_rays.trace_cache_shadows
+    trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
     graph.launch(trace, count, [scene, int(filtered)], [paths], start=offset)
     if filtered:
-        queue, layered = queue[offset : offset + count], layered.part(offset, count)
-        shadows = [scene, make_options(filtered=True), one_number(1, graph.device)]
-        if flat:
-            graph.launch(flat_tracing.trace_flat_shadow_layers, count, shadows, [paths], start=offset)
-        else:
-            graph.launch_queued(tracing.trace_shadow_layers, shadows, queue, [paths])
-        if lean_layers:
-            graph.fill_list(compaction.append_layered_shadows, count, [paths, offset], layered)
-            graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, layered, [paths], few=True)
-        else:
-            graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, queue, [paths])
+        record_shadow_layers(graph, scene, paths, offset, count, queue, layered, bounces=1, lean=lean_layers)
     if programs:
         pending = pending.part(offset, count)
         graph.fill_list(compaction.append_pending_shadows, count, [paths, offset], pending)

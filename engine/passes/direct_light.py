@@ -8,17 +8,13 @@ from functools import partial
 import warp as wp
 
 from ...kernels import (
-    compaction,
     direct_candidates,
     direct_debug,
     direct_emitters,
     direct_shade,
     direct_shadow,
     flat_tracing,
-    shadow_layers,
-    shadow_layers_lean,
     shadow_lights,
-    tracing,
 )
 from ...kernels.direct_emitters import EMITTER_WORDS
 from ...kernels.direct_light import DirectLight, PackedLight
@@ -35,6 +31,7 @@ from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import is_flat
 from ..work_list import make_queue, make_work_list, one_number
+from .layer_rays import record_shadow_layers
 
 __all__ = ["DirectLightPass", "has_lights"]
 
@@ -168,22 +165,13 @@ class DirectLightPass:
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
-            flat = is_flat(scene)
-            trace = flat_tracing.trace_flat_shadows if flat else direct_shadow.trace_direct_shadows
+            trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
             graph.launch(trace, self.slots, [scene], [self.rays])
-            shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
             if filtered:
-                if flat:
-                    graph.launch(flat_tracing.trace_flat_shadow_layers, self.slots, shadows, [self.rays])
-                else:
-                    graph.launch_queued(tracing.trace_shadow_layers, shadows, self.queue, [self.rays])
-                if lean_layers:
-                    graph.fill_list(compaction.append_layered_shadows, self.slots, [self.rays, 0], self.layered)
-                    graph.launch_listed(
-                        shadow_layers_lean.weaken_shadow_rays_lean, shadows, self.layered, [self.rays], few=True)
-                else:
-                    graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, self.queue, [self.rays])
+                record_shadow_layers(
+                    graph, scene, self.rays, 0, self.slots, self.queue, self.layered, bounces=0, lean=lean_layers)
             if textured:
+                shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
             graph.launch(

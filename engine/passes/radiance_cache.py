@@ -23,9 +23,6 @@ from ...kernels import (
     cache_shade,
     compaction,
     flat_tracing,
-    layers,
-    layers_lean,
-    tracing,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
@@ -56,6 +53,7 @@ from .cache_buffers import (
     threads_race,
 )
 from .cache_spreading import LightPhase, record_coarse_cells, record_spreading
+from .layer_rays import record_layers
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -201,10 +199,7 @@ class RadianceCachePass:
             after: Branches of the graph that add cells and samples.
             phase: How far light has spread in these frames.
         """
-        self._all_lean, self._lean_layers = all_lean, lean_layers
-        self._world = self._zeros(1, wp.vec3) if world is None else world
-        self._fit(count, filtered)
-        self.grid.minimum = minimum_cell
+        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
         with graph.slots(0, count, count + self.bounces):
@@ -230,17 +225,27 @@ class RadianceCachePass:
         self._record_lights(graph, scene, views, programs, 0, count if settled else count + self.bounces)
         self._record_cells(graph, views, rays, after, phase)
 
+    def _take(
+        self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
+        world: wp.array | None,
+    ) -> None:
+        """Take in what a record needs to know, and allocate for it."""
+        self._all_lean, self._lean_layers = all_lean, lean_layers
+        self._world = self._zeros(1, wp.vec3) if world is None else world
+        self.grid.minimum = minimum_cell
+        self._fit(count, filtered)
+
     def record_pending(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, threshold: float,
-        filtered: bool, programs: bool, all_lean: bool, lean_layers: bool, world: wp.array, after: str,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, minimum_cell: float,
+        threshold: float, filtered: bool, programs: bool, all_lean: bool, lean_layers: bool, world: wp.array,
+        after: str,
     ) -> None:
         """Record following the bounce rays of the frame before, in settled frames: they are not waited for in theirs.
 
         Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; other
         arguments as of `record`.
         """
-        self._all_lean, self._lean_layers, self._world = all_lean, lean_layers, world
-        self._fit(count, filtered)
+        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
         if self.bounces == 0 or not self.is_settled(phase):
             return
         with graph.branch(BOUNCES, level=BOUNCES_LEVEL), graph.slots(count, self.bounces, count + self.bounces):
@@ -277,21 +282,11 @@ class RadianceCachePass:
 
     def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
         """Record finding the hits of `count` rays from slot `offset` on."""
-        flat = is_flat(scene)
-        trace = flat_tracing.trace_flat_rays if flat else cache_rays.trace_cache_rays
+        trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
         graph.launch(trace, count, [scene, offset], [self.paths])
         if self._layers:
-            queue = self.queue[offset : offset + count]
-            if flat:
-                graph.launch(flat_tracing.trace_flat_layers, count, [scene, offset], [self.paths])
-            else:
-                graph.launch_queued(tracing.trace_layers, [scene], queue, [self.paths])
-            if self._lean_layers:
-                layered = self.layered.part(offset, count)
-                graph.fill_list(compaction.append_layered_paths, count, [self.paths, offset], layered)
-                graph.launch_listed(layers_lean.filter_paths_lean, [scene], layered, [self.paths], few=True)
-            else:
-                graph.launch_queued(layers.filter_paths, [scene], queue, [self.paths])
+            record_layers(
+                graph, scene, self.paths, offset, count, self.queue, self.layered, lean=self._lean_layers)
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,

@@ -19,8 +19,6 @@ from ...kernels import (
     flat_tracing,
     gather_further,
     gather_start,
-    layers,
-    layers_lean,
     reflection_choice,
     reflection_debug,
     reflection_lamps,
@@ -33,7 +31,6 @@ from ...kernels import (
     reflection_start,
     reflection_tail,
     reflection_trace,
-    tracing,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
@@ -67,6 +64,7 @@ from .cache_buffers import (
     record_shadow_rays,
     record_sums,
 )
+from .layer_rays import record_layers
 from .screen_probes import ScreenProbePass
 
 __all__ = ["RayScene", "ReflectionPass", "reflection_options"]
@@ -247,11 +245,11 @@ class ReflectionPass:
                 reflection_screen.look_back, blocks,
                 [views, scene, what.motion, self.width, self.height, int(reuse), previous,
                  previous_color], [rays, paths, vertices])
+        self._late = self.settings.hit_lighting and what.settled
         if self.settings.hit_lighting:
             self._record_lights(graph, views, what, grid)
-        self._late = self.settings.hit_lighting and what.settled
-        if self.settings.hit_lighting and not self._late:
-            self._record_sums(graph, views, grid)
+            if not self._late:
+                self._record_sums(graph, views, grid)
 
     def _record_near_hits(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
         """Record following rays from near hits further: over as many surfaces as there are segments."""
@@ -279,7 +277,8 @@ class ReflectionPass:
                 trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
                 graph.launch_listed(trace, [scene, int(what.filtered)], work, [paths], few=True)
             if what.filtered:
-                self._record_layers(graph, what, traced=index > 0)
+                record_layers(
+                    graph, scene, paths, 0, blocks, self.queue, self.layered, lean=what.lean_layers, traced=index > 0)
             if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
                 graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
         with graph.section(self._section("materials")):
@@ -309,19 +308,6 @@ class ReflectionPass:
                 graph.launch_listed(
                     reflection_materials.follow_full, [what.scene, what.split, self.reflection, 1, *last],
                     self.living, outputs, few=True)
-
-    def _record_layers(self, graph: FrameGraph, what: RayScene, *, traced: bool) -> None:
-        """Record looking through transparent layers in front of the hits; `traced`: the first of them is known."""
-        if not traced:
-            if is_flat(what.scene):
-                graph.launch(flat_tracing.trace_flat_layers, self.blocks, [what.scene, 0], [self.paths])
-            else:
-                graph.launch_queued(tracing.trace_layers, [what.scene], self.queue, [self.paths])
-        if what.lean_layers:
-            graph.fill_list(compaction.append_layered_paths, self.blocks, [self.paths, 0], self.layered)
-            graph.launch_listed(layers_lean.filter_paths_lean, [what.scene], self.layered, [self.paths], few=True)
-        else:
-            graph.launch_queued(layers.filter_paths, [what.scene], self.queue, [self.paths])
 
     def _record_lights(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
         """Record lighting the hits in which rays have ended, with a shadow ray each, for them and for their cells."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 __all__ = [
-    "HEIGHT", "WIDTH", "around", "atmosphere_rays", "azimuth_nodes", "distance_to_sphere", "row_elevations",
+    "HEIGHT", "WIDTH", "around", "atmosphere_rays", "azimuth_nodes", "distance_to_sphere", "half_azimuths", "mirrored",
+    "rayleigh_phase", "row_elevations", "sun_direction",
 ]
 
 WIDTH, HEIGHT = 512, 256
@@ -28,6 +29,26 @@ def row_elevations() -> np.ndarray:
     """Return the elevations [rad] of the image's rows at their centres, lowest first: float64 [HEIGHT]."""
     y = 2.0 * (np.arange(HEIGHT) + 0.5) / HEIGHT - 1.0
     return np.copysign(y * y, y) * 0.5 * np.pi
+
+
+def half_azimuths() -> np.ndarray:
+    """Return the azimuths from the sun [rad] of the columns of the image's left half, at their centres: [WIDTH / 2]."""
+    return np.pi - 2.0 * np.pi * (np.arange(WIDTH // 2) + 0.5) / WIDTH
+
+
+def mirrored(half: np.ndarray) -> np.ndarray:
+    """Return the image, float32 [HEIGHT, WIDTH, 3], of its left half: the right one mirrors it."""
+    return np.concatenate([half, half[:, ::-1]], 1).astype(np.float32)
+
+
+def sun_direction(elevation: float) -> np.ndarray:
+    """Return the unit vector towards a sun at an elevation [rad]; its azimuth is 0."""
+    return np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+
+
+def rayleigh_phase(cosine: np.ndarray) -> np.ndarray:
+    """Return the phase function of air by the cosine of the angle by which it scatters [1/sr]."""
+    return 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
 
 
 def azimuth_nodes(sun_elevation: float) -> np.ndarray:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .atmosphere import mirrored
 from .preetham import half_directions
 
 __all__ = ["curve_places", "evaluate", "sky", "terms"]
@@ -115,4 +116,4 @@ def sky(sun_zenith: float, turbidity: float, albedo: float) -> np.ndarray:
     # Cycles measures angles from a sun that is on the horizon at least.
     sun_zenith = min(sun_zenith, 0.5 * math.pi)
     half = evaluate(sun_zenith, turbidity, albedo, *half_directions(sun_zenith))
-    return np.concatenate([half, half[:, ::-1]], 1).astype(np.float32)
+    return mirrored(half)

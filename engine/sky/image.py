@@ -62,9 +62,8 @@ class SkySettings:
         return self.kind in (SkyKind.SINGLE_SCATTERING, SkyKind.MULTIPLE_SCATTERING)
 
 
-@functools.lru_cache(maxsize=8)
 def sky_xyz(settings: SkySettings) -> np.ndarray:
-    """Return the image of a sky in CIE XYZ, float32 [HEIGHT, WIDTH, 3], lowest row first; not to be written to."""
+    """Return the image of a sky in CIE XYZ, float32 [HEIGHT, WIDTH, 3], lowest row first."""
     if settings.kind is SkyKind.SINGLE_SCATTERING:
         return single.sky(settings.sun_elevation, *settings.atmosphere)
     if settings.kind is SkyKind.MULTIPLE_SCATTERING:
@@ -75,6 +74,7 @@ def sky_xyz(settings: SkySettings) -> np.ndarray:
     return preetham.sky(zenith, settings.turbidity)
 
 
+@functools.lru_cache(maxsize=8)
 def sky_pixels(settings: SkySettings, to_rgb: Matrix = TO_REC709) -> tuple[np.ndarray, float]:
     """Return a sky's picture as it is looked up, and what it must be multiplied by.
 
@@ -83,7 +83,8 @@ def sky_pixels(settings: SkySettings, to_rgb: Matrix = TO_REC709) -> tuple[np.nd
         to_rgb: From CIE XYZ to the colours' space.
 
     Returns:
-        float32 [HEIGHT, WIDTH, 3], top row first, not negative, finite; a power of two, 1 for skies by day.
+        float32 [HEIGHT, WIDTH, 3], top row first, not negative, finite, not to be written to; a power of two, 1 for
+        skies by day.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         rgb = sky_xyz(settings)[::-1] @ np.asarray(to_rgb, np.float32).T

@@ -12,7 +12,17 @@ import functools
 
 import numpy as np
 
-from .atmosphere import WIDTH, around, atmosphere_rays, azimuth_nodes, distance_to_sphere, row_elevations
+from .atmosphere import (
+    around,
+    atmosphere_rays,
+    azimuth_nodes,
+    distance_to_sphere,
+    half_azimuths,
+    mirrored,
+    rayleigh_phase,
+    row_elevations,
+    sun_direction,
+)
 
 __all__ = ["ALTITUDE_MAX", "EARTH", "sky", "sun"]
 
@@ -127,7 +137,7 @@ def scattered(elevations: np.ndarray, azimuths: np.ndarray, sun_elevation: float
               densities: Densities) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return light that air, aerosols (but for their phase functions) and both further scatter: three [R, A, 4]."""
     rays = atmosphere_rays(elevations, azimuths)
-    sun = np.array([np.cos(sun_elevation), 0.0, np.sin(sun_elevation)])
+    sun = sun_direction(sun_elevation)
     eye = EARTH + altitude
     up = np.sin(elevations)
     ground = distance_to_sphere(eye, up, EARTH, near=True)
@@ -164,14 +174,13 @@ def sky(sun_elevation: float, altitude: float, air: float, aerosols: float, ozon
     """
     elevations, height = row_elevations(), min(max(altitude, 1.0), ALTITUDE_MAX) * 1e-3
     parts = scattered(elevations, azimuth_nodes(sun_elevation), sun_elevation, height, (air, aerosols, ozone))
-    columns = np.pi - 2.0 * np.pi * (np.arange(WIDTH // 2) + 0.5) / WIDTH
-    cosine = atmosphere_rays(elevations, columns) @ np.array([np.cos(sun_elevation), 0.0, np.sin(sun_elevation)])
-    rayleigh = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
+    columns = half_azimuths()
+    cosine = atmosphere_rays(elevations, columns) @ sun_direction(sun_elevation)
     g2 = AEROSOL_G**2
     mie = (1.0 - g2) / (4.0 * np.pi) / (1.0 + g2 - 2.0 * AEROSOL_G * cosine) ** 1.5
     by_air, by_aerosols, by_both = (around(part @ TO_XYZ, columns) for part in parts)
-    half = by_air * rayleigh[..., None] + by_aerosols * mie[..., None] + by_both
-    return np.concatenate([half, half[:, ::-1]], 1).astype(np.float32)
+    half = by_air * rayleigh_phase(cosine)[..., None] + by_aerosols * mie[..., None] + by_both
+    return mirrored(half)
 
 
 def sun(elevations: np.ndarray, altitude: float, air: float, aerosols: float, ozone: float) -> np.ndarray:

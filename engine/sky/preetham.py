@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .atmosphere import WIDTH, atmosphere_rays, row_elevations
+from .atmosphere import atmosphere_rays, half_azimuths, mirrored, row_elevations
 
 __all__ = ["LOWEST", "half_directions", "sky"]
 
@@ -34,8 +34,7 @@ ZENITH = {
 def half_directions(sun_zenith: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the zenith angles, at most LOWEST, and the angles from the sun of an image's left half: two [H, W / 2]."""
     elevations = row_elevations()
-    columns = np.pi - 2.0 * np.pi * (np.arange(WIDTH // 2) + 0.5) / WIDTH
-    cosine = atmosphere_rays(elevations, columns) @ np.array([np.sin(sun_zenith), 0.0, np.cos(sun_zenith)])
+    cosine = atmosphere_rays(elevations, half_azimuths()) @ np.array([np.sin(sun_zenith), 0.0, np.cos(sun_zenith)])
     zenith = np.minimum(0.5 * np.pi - elevations, LOWEST)
     return np.broadcast_to(zenith[:, None], cosine.shape), np.arccos(np.clip(cosine, -1.0, 1.0))
 
@@ -66,4 +65,4 @@ def sky(sun_zenith: float, turbidity: float) -> np.ndarray:
         found[name] = zenith[name] / perez(coefficients, 0.0, sun_zenith) * perez(coefficients, view, angle)
     x, y, luminance = found["x"], found["y"], found["Y"]
     half = np.stack([x / y * luminance, luminance, (1.0 - x - y) / y * luminance], -1)
-    return np.concatenate([half, half[:, ::-1]], 1).astype(np.float32)
+    return mirrored(half)

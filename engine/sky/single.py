@@ -11,7 +11,16 @@ import functools
 
 import numpy as np
 
-from .atmosphere import HEIGHT, WIDTH, around, atmosphere_rays, azimuth_nodes, distance_to_sphere
+from .atmosphere import (
+    HEIGHT,
+    WIDTH,
+    around,
+    atmosphere_rays,
+    azimuth_nodes,
+    distance_to_sphere,
+    rayleigh_phase,
+    sun_direction,
+)
 
 __all__ = ["ALTITUDE_MAX", "sky", "sun"]
 
@@ -116,7 +125,7 @@ def scattered(elevations: np.ndarray, azimuths: np.ndarray, sun_elevation: float
               scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what air and aerosols scatter towards the eye but for their phase functions, in XYZ: two [R, A, 3]."""
     rays = atmosphere_rays(elevations, azimuths)
-    sun = np.array([np.cos(sun_elevation), 0.0, np.sin(sun_elevation)])
+    sun = sun_direction(sun_elevation)
     eye = EARTH + altitude
     length = distance_to_sphere(eye, np.sin(elevations), TOP)
     step = length / STEPS
@@ -160,13 +169,12 @@ def sky(sun_elevation: float, altitude: float, air: float, aerosols: float, ozon
     parts = scattered(elevations, azimuth_nodes(sun_elevation), sun_elevation, altitude, scale)
     columns = np.pi - 2.0 * np.pi / WIDTH * np.arange(WIDTH // 2)
     directions = atmosphere_rays(elevations, columns)
-    cosine = directions @ np.array([np.cos(sun_elevation), 0.0, np.sin(sun_elevation)])
-    rayleigh = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
+    cosine = directions @ sun_direction(sun_elevation)
     # Cornette and Shanks 1992.
     g2 = MIE_G**2
     mie = 3.0 * (1.0 - g2) * (1.0 + cosine**2) / (
         8.0 * np.pi * (2.0 + g2) * (1.0 + g2 - 2.0 * MIE_G * cosine) ** 1.5)
-    upper = around(parts[0], columns) * rayleigh[..., None] + around(parts[1], columns) * mie[..., None]
+    upper = around(parts[0], columns) * rayleigh_phase(cosine)[..., None] + around(parts[1], columns) * mie[..., None]
     image = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     image[half:, : WIDTH // 2] = upper
     # Below the horizon its light fades with the depth below.

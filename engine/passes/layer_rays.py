@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Recording how rays and shadow rays look through transparent layers: triangles that need a test per hit."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...kernels import compaction, flat_tracing, layers, layers_lean, shadow_layers, shadow_layers_lean, tracing
+from ...kernels.paths import Paths
+from ...kernels.types import Scene
+from ..frame_graph import FrameGraph
+from ..shadow_rays import make_options
+from ..structures import is_flat
+from ..work_list import WorkList, one_number
+
+__all__ = ["record_layers", "record_shadow_layers"]
+
+
+def record_layers(
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList, *,
+    lean: bool, traced: bool = False,
+) -> None:
+    """Record looking through the layers in front of rays' hits.
+
+    Args:
+        graph: What to add to.
+        scene: The scene.
+        paths: The rays.
+        offset: Their first slot.
+        count: Their number.
+        queue: All slots.
+        layered: Room for those of all slots that layers stand in the way of.
+        lean: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
+        traced: Whether the first layer of each is known.
+    """
+    queue, layered = queue[offset : offset + count], layered.part(offset, count)
+    if not traced:
+        if is_flat(scene):
+            graph.launch(flat_tracing.trace_flat_layers, count, [scene, offset], [paths])
+        else:
+            graph.launch_queued(tracing.trace_layers, [scene], queue, [paths])
+    if lean:
+        graph.fill_list(compaction.append_layered_paths, count, [paths, offset], layered)
+        graph.launch_listed(layers_lean.filter_paths_lean, [scene], layered, [paths], few=True)
+    else:
+        graph.launch_queued(layers.filter_paths, [scene], queue, [paths])
+
+
+def record_shadow_layers(
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList, *,
+    bounces: int, lean: bool,
+) -> None:
+    """Record weakening shadow rays by the layers that they meet, after `bounces` surfaces; else as record_layers."""
+    queue, layered = queue[offset : offset + count], layered.part(offset, count)
+    shadows = [scene, make_options(filtered=True), one_number(bounces, graph.device)]
+    if is_flat(scene):
+        graph.launch(flat_tracing.trace_flat_shadow_layers, count, shadows, [paths], start=offset)
+    else:
+        graph.launch_queued(tracing.trace_shadow_layers, shadows, queue, [paths])
+    if lean:
+        graph.fill_list(compaction.append_layered_shadows, count, [paths, offset], layered)
+        graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, layered, [paths], few=True)
+    else:
+        graph.launch_queued(shadow_layers.weaken_shadow_rays, shadows, queue, [paths])
