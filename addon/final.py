@@ -279,6 +279,7 @@ class FinalRender:
             # The timed frame is a step of its own.
             goal = total if done > timed_at else timed_at + int(session.timed)
             done = session.step(min(count, goal - done), should_stop)
+            session.timed = False
             now = time.perf_counter()
             elapsed = now - start
             count = next_count(count, done - before, now - step_start)

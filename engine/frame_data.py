@@ -22,6 +22,9 @@ PANORAMAS = {
 }
 """Mappings of the kernels"""
 
+FRAME_TYPE = np.dtype(FrameData.numpy_dtype())
+"""Asked for once: Warp works it out anew each time"""
+
 FARTHEST = 1e17
 """Metres: squares of distances stay within float32"""
 
@@ -47,7 +50,7 @@ def frame_row(
     Raises:
         InvalidScene: The camera's transform is not finite, or its panorama shows nothing.
     """
-    row = np.zeros(1, FrameData.numpy_dtype())
+    row = np.zeros(1, FRAME_TYPE)
     matrix = np.asarray(camera.transform, np.float64).reshape(4, 4).copy()
     if not np.isfinite(matrix).all() or not np.isfinite(camera.window).all():
         raise InvalidScene("The camera's transform or lens is not finite; reset its location, rotation and lens.")

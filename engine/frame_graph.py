@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from .device import record, run_bands, thread_count
-from .graph_priority import keep_priorities, make_stream
+from .graph_priority import LEVELS, TRUNK, keep_priorities, make_stream
 from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList, one_number
 
 __all__ = ["FrameGraph"]
@@ -35,13 +35,6 @@ BAND_MINIMUM = 256
 
 LISTS = 64
 """Counters of lists that are set to zero at once"""
-
-TRUNK = ""
-"""Name of what is on no branch"""
-
-TRUNK_LEVEL = 2
-"""Its level, beside those of branches"""
-
 
 @dataclass
 class _Step:
@@ -87,8 +80,8 @@ class FrameGraph:
         self._section = ""
         self._branch = TRUNK
         self._slots: tuple[int, int, int] | None = None
-        self._open: dict[str, int] = {}
-        """Branches and their levels"""
+        self._open: list[str] = []
+        """Branches"""
         self._graph: wp.Graph | None = None
 
     @contextmanager
@@ -110,16 +103,17 @@ class FrameGraph:
             self._slots = outer
 
     @contextmanager
-    def branch(self, name: str, *, level: int = 0) -> Iterator[None]:
+    def branch(self, name: str) -> Iterator[None]:
         """Put the launches inside on a branch: they come after all before them, and those after them need not wait.
 
         What reads their results, or writes what they read, comes after `join`. A branch that is entered again goes on
-        where it was. Kernels of a higher `level` begin first (graph_priority.py).
+        where it was. Kernels of branches with a higher level begin first (graph_priority.LEVELS).
         """
         outer = self._branch
         self._wait(name, outer)
         self._branch = name
-        self._open[name] = level
+        if name not in self._open:
+            self._open.append(name)
         try:
             yield
         finally:
@@ -234,8 +228,7 @@ class FrameGraph:
 
     def _capture(self) -> wp.Graph:
         """Capture the steps, each branch on a stream of its own: what streams wait for become the graph's edges."""
-        levels = {TRUNK: TRUNK_LEVEL, **self._open}
-        streams = {name: make_stream(self.device, level) for name, level in levels.items()}
+        streams = {name: make_stream(self.device, LEVELS.get(name, 0)) for name in (TRUNK, *self._open)}
         trunk = streams[TRUNK]
         with wp.ScopedCapture(stream=trunk, force_module_load=False) as capture:
             for step in self._steps:

@@ -17,7 +17,13 @@ import weakref
 
 import warp as wp
 
-__all__ = ["keep_priorities", "make_stream"]
+__all__ = ["LEVELS", "TRUNK", "keep_priorities", "make_stream"]
+
+TRUNK = ""
+"""Name of what is on no branch"""
+
+LEVELS = {TRUNK: 2, "reflections": 1, "refraction": 1, "final gather": 1, "bounces": 1}
+"""Of a frame's branches by name, 0 of those not named: the higher, the sooner their kernels begin"""
 
 NON_BLOCKING = 1
 """CU_STREAM_NON_BLOCKING: does not wait for the default stream, which nothing may do while it is captured"""

@@ -42,10 +42,6 @@ __all__ = ["Pipeline"]
 PREPARATION, REPROJECTION, DIRECT = "preparation", "reprojection", "direct light"
 """Branches of the graph, besides the passes' own"""
 
-RAYS_LEVEL = 1
-"""Of rays that reflections wait for: after the probes' chain, before direct light, which has the shortest way to go"""
-
-
 class Pipeline:
     """The passes of a frame, their order and their recorded launches."""
 
@@ -320,7 +316,7 @@ class Pipeline:
         self._note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()
         for each in traced + gathering:
-            with graph.branch(each.name, level=RAYS_LEVEL):
+            with graph.branch(each.name):
                 each.record_rays(
                     graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
@@ -333,14 +329,14 @@ class Pipeline:
         graph.join(REPROJECTION)
         shown = {}
         for each in traced:
-            with graph.branch(each.name, level=RAYS_LEVEL):
+            with graph.branch(each.name):
                 each.record_samples(graph, views, self.cache.grid)
                 if not each.asks_probes:
                     shown[each] = self._record_filter(graph, parity, views, surfaces, each)
         indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
         for each in traced:
             if each.asks_probes:
-                with graph.branch(each.name, level=RAYS_LEVEL):
+                with graph.branch(each.name):
                     each.record_look_ups(graph, views, surfaces, self.probes)
                     shown[each] = self._record_filter(graph, parity, views, surfaces, each)
         with graph.section("Diffuse denoising"):

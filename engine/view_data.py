@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-import warp as wp
 
 from ..kernels.view import View
+from .staging import StagedRow
 
 __all__ = ["ViewTracker"]
 
@@ -22,8 +22,8 @@ class ViewTracker:
     """Fills the one-element array that all real-time kernels read."""
 
     def __init__(self, device: str):
-        self.array = wp.zeros(1, dtype=View, device=device)
-        self.row = np.zeros(1, View.numpy_dtype())
+        self._staged = StagedRow(View, device)
+        self.array, self.row = self._staged.array, self._staged.row
         self.frame = -1
         self.rest = -1
         self.light_age = LONG_AGO
@@ -81,5 +81,5 @@ class ViewTracker:
         row["jitter"], row["previous_jitter"] = jitter, jitter if first else self._jitter
         row["frame"], row["rest"], row["light_age"], row["restart"] = self.frame, self.rest, self.light_age, int(first)
         row["exposure"], row["transparent"] = exposure, int(transparent)
-        self.array.assign(row)
+        self._staged.send()
         self._camera, self._jitter = camera.copy(), jitter

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, Vertices, cell_seed
+from .cache_rays import IDLE, UNWATCHED, Vertices, cell_seed
 from .geometry_math import is_finite3
 from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell
 from .intersect import MISS
@@ -180,8 +180,9 @@ def accumulate_light(
     cell = vertices.cell[slot]
     if cell != NO_CELL:
         light = paths.radiance[slot]
-        add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
-        wp.atomic_add(grid_out.counts, 2 * cell, 1)
+        if light[3] != UNWATCHED:
+            add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
+            wp.atomic_add(grid_out.counts, 2 * cell, 1)
     if slot < count:
         return
     source = vertices.source[slot - count]

@@ -5,19 +5,44 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, Vertices, slot_seed
+from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, UNWATCHED, Vertices, cell_seed, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
+from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size
 from .intersect import surface_point
 from .lights import cell_side, sample_light
-from .packing import unpack_normal
+from .packing import rgb, unpack_normal
 from .path_shading import set_shadow_ray
 from .paths import PENDING_NONE, PENDING_WORLD, Paths, has_hit, load_hit
-from .sampling import sample_number, sample_pair
+from .sampling import hash_combine, hashed_unit, sample_number, sample_pair
 from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 from .view import View
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+# Share of the hits in cells that know their direct light which look for a light nevertheless: a cell's mean is of as
+# many samples, over more frames.
+WATCHED_SHARE = wp.constant(0.25)
+STREAM_WATCH = wp.constant(wp.uint32(0x57415443))
+
+
+@wp.func
+def is_unwatched(grid: HashGrid, view: View, vertices: Vertices, slot: int, known_from: float) -> bool:
+    """Return whether a hit can do without a light: its cell knows enough, and the hit is not told its own light.
+
+    Hits nearer than a cell take their own (cache_shade.cached_light). Says nothing of the light itself.
+    """
+    cell = vertices.cell[slot]
+    if cell == NO_CELL or view.rest > 0:
+        return False
+    if grid.direct[cell][3] < known_from:
+        return False
+    if hashed_unit(hash_combine(slot_seed(slot), STREAM_WATCH), wp.uint32(view.frame)) < WATCHED_SHARE:
+        return False
+    level = cell_level(grid, view.camera, rgb(vertices.position[slot]), cell_seed(slot, view.frame))
+    return vertices.emission[slot][3] >= cell_size(level)
 
 
 @wp.func
@@ -43,14 +68,16 @@ def choose_cache_lights(
     scene: Scene,
     world: wp.array[wp.vec3],
     vertices: Vertices,
-    weighed: int,
+    grid: HashGrid,
+    known_from: float,
     # Out:
     paths_out: Paths,
 ):
     """Sample one light at every hit and set up its shadow ray, which carries irradiance / pi.
 
     Translucent surfaces get the light of both sides by their shares, as the cell's light is read for both at once.
-    `weighed` 1: bounce rays bring their share of the emission of triangles, see cache_materials.py.
+    With grid.weighed bounce rays bring their share of the emission of triangles, see cache_materials.py. Cells that
+    have `known_from` samples get a light for few of their hits.
     """
     slot = first + wp.tid()
     paths_out.shadow_distance[slot] = 0.0
@@ -61,20 +88,24 @@ def choose_cache_lights(
     if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
         # Black: whatever arrives is lost. The cell is not told anything either.
         return
+    view = load_view(views)
+    if is_unwatched(grid, view, vertices, slot, known_from):
+        paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, UNWATCHED)
+        return
     point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
     normal = unpack_normal(vertices.normal[slot])
     seed = slot_seed(slot)
-    index = wp.uint32(views[0].frame)
+    index = wp.uint32(view.frame)
     s = sample_light(
-        scene, point.position, cell_side(normal, reflectance[3], weighed), sample_pair(seed, index, DIMENSION_LIGHT),
-        sample_number(seed, index, DIMENSION_PLACE))
+        scene, point.position, cell_side(normal, reflectance[3], grid.weighed),
+        sample_pair(seed, index, DIMENSION_LIGHT), sample_number(seed, index, DIMENSION_PLACE))
     if s.kind < 0 or (s.visibility & VISIBLE_DIFFUSE) == 0:
         return
     cosine = wp.dot(normal, s.wi)
     share = wp.where(cosine > 0.0, 1.0 - reflectance[3], reflectance[3])
     density = wp.abs(cosine) * share * INV_PI
     light = s.radiance * (density / s.pdf)
-    if weighed == 1 and s.kind == LIGHT_TRIANGLE:
+    if grid.weighed == 1 and s.kind == LIGHT_TRIANGLE:
         light = light * power_heuristic(s.pdf, density)
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, s, light, paths_out, slot)

@@ -39,6 +39,9 @@ STREAM_SIDE = wp.constant(wp.uint32(0x53494445))
 # Vertices.emission[3] of slots without a ray.
 IDLE = wp.constant(-1.0)
 
+# Paths.radiance[3] of hits that look for no light in this frame; else 1 with a shadow ray and 0 without.
+UNWATCHED = wp.constant(-1.0)
+
 
 @wp.struct
 class Vertices:
@@ -251,25 +254,37 @@ def trace_cache_rays(
         scene.geometry, paths_out.origin[slot], paths_out.direction[slot], paths_out.t[slot]))
 
 
+@wp.func
+def finish_cache_shadow(paths: Paths, slot: int, blocked: bool, filtered: int):
+    """End a shadow ray that is blocked; keep the light where nothing else has to be asked."""
+    if blocked:
+        paths.shadow_distance[slot] = 0.0
+    elif filtered == 0 and paths.shadow_pending[slot] == PENDING_NONE:
+        light = paths.shadow_light[slot]
+        paths.radiance[slot] = wp.vec4(light[0], light[1], light[2], paths.radiance[slot][3])
+        paths.shadow_distance[slot] = 0.0
+
+
 @wp.kernel
 def trace_cache_shadows(
-    first: int,
     # In:
     scene: Scene,
     filtered: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Trace the shadow rays against opaque triangles; keep the light where nothing else has to be asked."""
-    slot = first + wp.tid()
-    distance = paths_out.shadow_distance[slot]
-    if distance == 0.0:
-        return
-    if distance > 0.0:
-        if any_hit(scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance):
-            paths_out.shadow_distance[slot] = 0.0
-            return
-    if filtered == 0 and paths_out.shadow_pending[slot] == PENDING_NONE:
-        light = paths_out.shadow_light[slot]
-        paths_out.radiance[slot] = wp.vec4(light[0], light[1], light[2], paths_out.radiance[slot][3])
-        paths_out.shadow_distance[slot] = 0.0
+    """Trace listed shadow rays against opaque triangles."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        distance = paths_out.shadow_distance[slot]
+        if distance != 0.0:
+            blocked = bool(False)
+            if distance > 0.0:
+                blocked = any_hit(
+                    scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
+            finish_cache_shadow(paths_out, slot, blocked, filtered)
+        i = i + stride

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
+from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed
 from .geometry_math import is_finite3
 from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light, known_indirect
 from .packing import rgb, unpack_normal
@@ -54,7 +54,8 @@ def gather_bounces(
         if cell != NO_CELL:
             known = grid.direct[cell]
             if known[3] > 0.0 and view.light_age > 0:
-                direct = (rgb(known) * known[3] + direct) / (known[3] + 1.0)
+                samples = wp.where(paths.radiance[slot][3] == UNWATCHED, 0.0, 1.0)
+                direct = (rgb(known) * known[3] + direct) / (known[3] + samples)
         if all_bounces == 1 and wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
             p = vertices_out.position[slot]
             light = known_indirect(

@@ -48,6 +48,21 @@ def append_layered_paths(
 
 
 @wp.kernel
+def append_shadows(
+    # In:
+    paths: Paths,
+    offset: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the slots, from `offset` on, that have a shadow ray."""
+    path = offset + wp.tid()
+    if paths.shadow_distance[path] != 0.0:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
 def append_layered_shadows(
     # In:
     paths: Paths,

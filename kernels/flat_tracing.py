@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_rays import finish_cache_shadow
 from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
 from .intersect import MISS, Hit, Layer, any_static, closest_static, static_layer, static_shadow_layer
-from .paths import ENDED, PENDING_NONE, Options, Paths, load_hit, store_hit, take_layer
+from .paths import ENDED, Options, Paths, load_hit, store_hit, take_layer
 from .pixel_order import pixel_in_blocks
 from .tracing import meet_shadow_layer
 from .types import Geometry, Scene
@@ -175,25 +176,49 @@ def trace_flat_shadows(
 @wp.kernel(cuda_max_registers=48)
 def trace_flat_cache_shadows(
     # In:
-    first: int,
     scene: Scene,
     filtered: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Trace the cache's shadow rays against opaque triangles; see cache_rays.trace_cache_shadows."""
-    slot = first + wp.tid()
-    distance = paths_out.shadow_distance[slot]
-    if distance == 0.0:
-        return
-    if distance > 0.0:
-        if any_flat(scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance):
-            paths_out.shadow_distance[slot] = 0.0
-            return
-    if filtered == 0 and paths_out.shadow_pending[slot] == PENDING_NONE:
-        light = paths_out.shadow_light[slot]
-        paths_out.radiance[slot] = wp.vec4(light[0], light[1], light[2], paths_out.radiance[slot][3])
-        paths_out.shadow_distance[slot] = 0.0
+    """Trace listed shadow rays against opaque triangles; see cache_rays.trace_cache_shadows."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        distance = paths_out.shadow_distance[slot]
+        if distance != 0.0:
+            blocked = bool(False)
+            if distance > 0.0:
+                blocked = any_flat(
+                    scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance)
+            finish_cache_shadow(paths_out, slot, blocked, filtered)
+        i = i + stride
+
+
+@wp.kernel(cuda_max_registers=56)
+def trace_flat_listed_layers(
+    # In:
+    scene: Scene,
+    options: Options,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find the first triangle that needs a test on each listed shadow ray; see tracing.trace_shadow_layers."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        distance = paths_out.shadow_distance[slot]
+        if distance != 0.0:
+            meet_shadow_layer(options, bounces, paths_out, slot, shadow_flat_layer(
+                scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance))
+        i = i + stride
 
 
 @wp.kernel(cuda_max_registers=56)

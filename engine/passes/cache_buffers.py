@@ -104,8 +104,8 @@ def record_sums(
 
 
 def record_shadow_rays(
-    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList,
-    pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, under_way: WorkList,
+    layered: WorkList, pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
 ) -> None:
     """Record tracing hits' shadow rays to the lights chosen for them; what arrives is `paths.radiance`.
 
@@ -116,16 +116,20 @@ def record_shadow_rays(
         offset: Their first slot.
         count: Their number.
         queue: All slots, where there are triangles that need a test.
-        layered: Likewise: room for those that transparent layers stand in the way of.
+        under_way: Room for those that have a shadow ray.
+        layered: Where there are triangles that need a test: room for those that transparent layers stand in the way of.
         pending: Room for those that reach lights whose radiance is a program.
         filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
         lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
         programs: Whether lights may be programs (DeviceScene.has_hit_programs).
     """
+    under_way = under_way.part(offset, count)
+    graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
     trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
-    graph.launch(trace, count, [scene, int(filtered)], [paths], start=offset)
+    graph.launch_listed(trace, [scene, int(filtered)], under_way, [paths])
     if filtered:
-        record_shadow_layers(graph, scene, paths, offset, count, queue, layered, bounces=1, lean=lean_layers)
+        record_shadow_layers(
+            graph, scene, paths, offset, count, queue, layered, bounces=1, lean=lean_layers, under_way=under_way)
     if programs:
         pending = pending.part(offset, count)
         graph.fill_list(compaction.append_pending_shadows, count, [paths, offset], pending)

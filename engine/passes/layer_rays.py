@@ -48,12 +48,18 @@ def record_layers(
 
 def record_shadow_layers(
     graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList, *,
-    bounces: int, lean: bool,
+    bounces: int, lean: bool, under_way: WorkList | None = None,
 ) -> None:
-    """Record weakening shadow rays by the layers that they meet, after `bounces` surfaces; else as record_layers."""
+    """Record weakening shadow rays by the layers that they meet, after `bounces` surfaces.
+
+    `under_way`: those slots that have a shadow ray, where they are known; else as record_layers.
+    """
     queue, layered = queue[offset : offset + count], layered.part(offset, count)
     shadows = [scene, make_options(filtered=True), one_number(bounces, graph.device)]
-    if is_flat(scene):
+    if under_way is not None:
+        trace = flat_tracing.trace_flat_listed_layers if is_flat(scene) else tracing.trace_shadow_layers
+        graph.launch_listed(trace, shadows, under_way, [paths])
+    elif is_flat(scene):
         graph.launch(flat_tracing.trace_flat_shadow_layers, count, shadows, [paths], start=offset)
     else:
         graph.launch_queued(tracing.trace_shadow_layers, shadows, queue, [paths])

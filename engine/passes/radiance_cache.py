@@ -60,9 +60,6 @@ __all__ = ["RadianceCachePass", "smallest_cell"]
 BOUNCES = "bounces"
 """Branch of the graph on which light goes from cell to cell while it need not be waited for"""
 
-BOUNCES_LEVEL = 1
-"""Its level: what comes after the primary rays, beside which it runs, may have to wait for it"""
-
 SMALLEST_CELL = 0.1
 """Metres: the published minimum, for rooms"""
 
@@ -160,8 +157,8 @@ class RadianceCachePass:
         self.vertices.cell.fill_(int(NO_CELL))
         self.queue = make_queue(total if filtered else 1, self.device)
         self.layered = make_work_list(total if filtered else 1, self.device)
-        self.left = make_work_list(total, self.device)
-        """Rays and shadow rays that need the full node machine"""
+        self.left, self.lit = make_work_list(total, self.device), make_work_list(total, self.device)
+        """Rays and shadow rays that need the full node machine; all shadow rays"""
 
     def cells(self, minimum_cell: float) -> HashGrid:
         """Return the cells for rays of other passes, with the smallest size [m] set (see smallest_cell).
@@ -213,17 +210,19 @@ class RadianceCachePass:
             if not started:
                 self.record_start(graph, views, phase)
             self._record_insertion(graph, views, 0, count)
-        graph.join(BOUNCES)
-        if self.bounces > 0:
-            with graph.section("Cache bounces"):
-                graph.launch(
-                    cache_rays.start_bounces, self.bounces,
-                    [views, self.grid, count, self.bounces, self.settled, int(filtered), int(settled)],
-                    [self.paths, self.vertices, self.pending])
-            if not settled:
-                self._record_bounces(graph, scene, views, threshold)
-        self._record_lights(graph, scene, views, programs, 0, count if settled else count + self.bounces)
+        bounces = 0 if settled else self.bounces
+        if bounces > 0:
+            self._record_start(graph, views, settled=False)
+            self._record_bounces(graph, scene, views, threshold)
+        with graph.slots(0, count + bounces, count + self.bounces):
+            self._record_lights(graph, scene, views, programs, 0, count + bounces, settled=settled)
         self._record_cells(graph, views, rays, after, phase)
+        if settled and self.bounces > 0:
+            # Beside all that follows.
+            with graph.branch(BOUNCES):
+                with graph.section("Cache cells"), graph.slots(count, self.bounces, count + self.bounces):
+                    self._record_sums(graph, views, count, self.bounces)
+                self._record_start(graph, views, settled=True)
 
     def _take(
         self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
@@ -242,23 +241,22 @@ class RadianceCachePass:
     ) -> None:
         """Record following the bounce rays of the frame before, in settled frames: they are not waited for in theirs.
 
-        Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; other
-        arguments as of `record`.
+        Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; `record`
+        goes on with it: their light is for the next frame. Other arguments as of `record`.
         """
         self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
         if self.bounces == 0 or not self.is_settled(phase):
             return
-        with graph.branch(BOUNCES, level=BOUNCES_LEVEL), graph.slots(count, self.bounces, count + self.bounces):
+        with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.bounces):
             graph.join(after)
             with graph.section("Cache bounces"):
                 graph.launch(
                     cache_rays.resume_bounces, self.bounces, [views, self.pending, count], [self.paths, self.vertices])
             self._record_bounces(graph, scene, views, threshold)
-            self._record_lights(graph, scene, views, programs, count, self.bounces)
+            self._record_lights(graph, scene, views, programs, count, self.bounces, settled=True)
             with graph.section("Cache cells"):
                 self._record_gathering(graph, views)
                 record_coarse_cells(graph, views, self.grid, self.control, self.vertices, self.bounces)
-                self._record_sums(graph, views, count, self.bounces)
 
     def is_settled(self, phase: LightPhase) -> bool:
         """Return whether cells take the light of bounce rays and of other passes' hits in the frame after.
@@ -309,6 +307,14 @@ class RadianceCachePass:
             record_insertion(
                 graph, views, self.paths, self.vertices, self.grid, offset, count, deterministic=self.deterministic)
 
+    def _record_start(self, graph: FrameGraph, views: wp.array, *, settled: bool) -> None:
+        """Record sending rays on from the probes' hits."""
+        with graph.section("Cache bounces"):
+            graph.launch(
+                cache_rays.start_bounces, self.bounces,
+                [views, self.grid, self.count, self.bounces, self.settled, int(self._layers), int(settled)],
+                [self.paths, self.vertices, self.pending])
+
     def _record_bounces(self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float) -> None:
         """Record following bounce rays that have been started, up to their hits' cells."""
         with graph.section("Cache bounces"):
@@ -317,7 +323,8 @@ class RadianceCachePass:
         self._record_insertion(graph, views, self.count, self.bounces)
 
     def _record_lights(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool, offset: int, count: int,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool, offset: int, count: int, *,
+        settled: bool,
     ) -> None:
         """Record direct light at the hits of `count` rays from slot `offset` on."""
         if scene.lights.class_count == 0:
@@ -327,12 +334,13 @@ class RadianceCachePass:
             return
         with graph.section("Cache lights"):
             graph.launch(
-                cache_lights.choose_cache_lights, count, [views, scene, self._world, self.vertices, self.grid.weighed],
-                [self.paths], start=offset)
+                cache_lights.choose_cache_lights, count,
+                [views, scene, self._world, self.vertices, self.grid,
+                 float(self.settings.sample_cap if settled else math.inf)], [self.paths], start=offset)
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
-                graph, scene, self.paths, offset, count, self.queue, self.layered, self.left, filtered=self._layers,
-                lean_layers=self._lean_layers, programs=programs)
+                graph, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
+                filtered=self._layers, lean_layers=self._lean_layers, programs=programs)
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,

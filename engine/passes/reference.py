@@ -72,6 +72,8 @@ class FilmBuffers:
     passes: bool
     light: LightFilm
     """Sums of the passes of light; false for none"""
+    empty: bool = True
+    """Whether no sample has come in since it was made or cleared"""
 
     @staticmethod
     def make(pixel_count: int, passes: bool, device: str, light_passes: Iterable[str] = ()) -> FilmBuffers:
@@ -95,6 +97,10 @@ class FilmBuffers:
 
     def clear(self) -> None:
         """Forget all samples."""
+        if self.empty:
+            # As in every frame of a real-time picture in motion.
+            return
+        self.empty = True
         for name in (
             "color", "color_rest", "squares", "samples", "rejected", "overruns", "normal", "position", "uv", "depth",
             "emission", "environment",
@@ -227,6 +233,7 @@ class ReferencePass:
             low = self.samples_done
             if low >= target or should_stop():
                 return
+            buffers.empty = False
             most = min(target - low, 64) if self.cuda else 1
             self.each_band(
                 [band for band in self.bands if band.samples == low],

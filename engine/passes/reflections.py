@@ -189,7 +189,7 @@ class ReflectionPass:
         self.queue = make_queue(count, self.device)
         self.all = WorkList(self.queue, self.rays.rank[count - 1 : count])
         """All rays, from the first slot on"""
-        self.living, self.left = make_work_list(count, self.device), make_work_list(count, self.device)
+        self.living, self.left, self.lit = (make_work_list(count, self.device) for _ in range(3))
         self.layered = make_work_list(count if filtered else 1, self.device)
         # The cache's counters are those of the probes' rays.
         self.control = self._fill(CacheControl(), {"age": int, "live": int, "balance": wp.int64, "factors": wp.vec3}, 1)
@@ -336,7 +336,7 @@ class ReflectionPass:
                 [scene, what.world, grid, self.rays, candidates], [paths, vertices])
         with graph.section(self._section("shadow rays")):
             record_shadow_rays(
-                graph, scene, paths, 0, blocks, self.queue, self.layered, self.left, filtered=what.filtered,
+                graph, scene, paths, 0, blocks, self.queue, self.lit, self.layered, self.left, filtered=what.filtered,
                 lean_layers=what.lean_layers, programs=what.programs)
 
     @property

@@ -62,14 +62,16 @@ def addresses(values, slots=None):
 
 
 CELL_KERNELS = {
-    "insert_vertices", "accumulate_light", "choose_reflection_lights", "start_bounces", "gather_bounces",
-    "follow_near_hits", "balance_bounces", "find_beyond", "spread_cells", "spread_light"}
+    "insert_vertices", "accumulate_light", "choose_cache_lights", "choose_reflection_lights", "start_bounces",
+    "gather_bounces", "follow_near_hits", "balance_bounces", "find_beyond", "spread_cells", "spread_light"}
 """They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there.
 
 Those that spread light have the sums and counts of indirect light for themselves: other branches add direct light.
 """
 
-CELL_READERS = {"insert_vertices", "choose_reflection_lights", "follow_near_hits"}
+CELL_READERS = {
+    "insert_vertices", "choose_cache_lights", "choose_reflection_lights", "follow_near_hits", "gather_bounces",
+    "balance_bounces"}
 """They make cells or look at their light, and may find it as it was before `update_cells` or after."""
 
 
@@ -117,7 +119,7 @@ def test_branches_do_not_race():
     made.step(4)
     pipeline, views = made._realtime.pipeline, made._realtime.views
     motion = pipeline.motion.advance(made._scene)
-    cells = frozenset(addresses([pipeline.cache.grid]))
+    cells = frozenset(addresses([pipeline.cache.grid, pipeline.cache.control]))
     for resting, phase in itertools.product((False, True), LightPhase):
         graph, *_ = pipeline._record(0, resting, phase, made._scene, views.array, motion)
         sections = {step.section for step in graph._steps}

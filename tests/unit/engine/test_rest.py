@@ -171,7 +171,7 @@ def test_film_counts_squares(device):
     paths = make_paths(40, False, device)
     paths.radiance.assign(radiance.reshape(-1, 4))
     options, buffers = Options(), FilmBuffers.make(10, False, device)
-    options.exposure = 2.0
+    options.exposure, buffers.empty = 2.0, False
     wp.launch(film_kernels.accumulate_samples, 10, [paths, options, 0, 10, 4, 0], [buffers.film], device=device)
     expected = np.nansum((2.0 * radiance[..., :3]) ** 2, axis=(0, 2)) / 3.0
     np.testing.assert_allclose(buffers.film.squares.numpy(), expected, rtol=1e-5)

@@ -231,7 +231,7 @@ def test_nothing_is_copied_while_nothing_moves(monkeypatch):
     sent.clear()
     made.configure(SETTINGS, look_at((0.3, -2.6, 1.6), (0.0, 0.0, 0.4), SIZE, 1.0), *SIZE)
     made.step(3)
-    assert sent and copies() == []
+    assert copies() == []
     moved = room().instances
     moved.transforms[1, 0, 3] += 0.1
     edit(made, SceneDelta(instances=moved))
