@@ -28,7 +28,7 @@ from .passes.composite import CompositePass
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
 from .passes.direct_light import DirectLightPass, has_lights
-from .passes.gbuffer import GBufferPass
+from .passes.gbuffer import GBufferPass, shines_plainly
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.reflection_denoise import ReflectionDenoisePass
 from .passes.reflections import STRIDES, RayScene, ReflectionPass
@@ -188,8 +188,8 @@ class Pipeline:
 
     def _fingerprint(self, scene: DeviceScene, motion: Motion) -> bytes:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
-        facts = (scene.structures.has_filtered, scene.has_hit_programs, scene.world_texels.ptr,
-                 scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
+        facts = (scene.structures.has_filtered, shines_plainly(scene.scene, scene.emitters), scene.has_hit_programs,
+                 scene.world_texels.ptr, scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
                  scene.material_table.lean, scene.material_table.reflectors)
         structs = (scene.scene, motion, self.split)
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
@@ -285,6 +285,7 @@ class Pipeline:
         self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
         graph, kernels_scene = FrameGraph(self.device), scene.scene
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
+        shining = shines_plainly(kernels_scene, scene.emitters)
         lean = scene.material_table.lean
         # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
         # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
@@ -301,7 +302,7 @@ class Pipeline:
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
             graph, parity, kernels_scene, views, filtered=filtered, all_lean=lean.surface,
-            lean_layers=lean.transparency)
+            lean_layers=lean.transparency, shining=shining)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         with graph.branch(REPROJECTION):
             self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)

@@ -17,6 +17,8 @@ from .view import SKY_DEPTH, View, direction_to_eye, film_position, previous_fil
 SURFACE_EMITS = wp.constant(wp.uint32(1 << 24))
 SURFACE_TRANSLUCENT = wp.constant(wp.uint32(1 << 25))
 """`translucent` holds a colour"""
+SURFACE_VEILED = wp.constant(wp.uint32(1 << 26))
+"""There are transparent layers: chance decides in each frame which of several surfaces the pixel shows"""
 SURFACE_BACKFACING = wp.constant(wp.uint32(1 << 27))
 SURFACE_BRIGHT = wp.constant(wp.uint32(1 << 28))
 """`f0` is stored as a quarter and the reflectance at grazing angles as half: energy compensation lifts rough metals

@@ -34,6 +34,15 @@ def store_found(hits: PrimaryHits, pixel: int, found: Hit):
     hits.barycentrics[pixel] = wp.vec2(found.u, found.v)
 
 
+@wp.func
+def store_stop(hits: PrimaryHits, pixel: int, found: Hit, lit: int):
+    """Store the layer that stops a ray; with `lit` 1 what shines behind it is known (gbuffer_behind.py)."""
+    store_found(hits, pixel, found)
+    if lit == 1:
+        behind = hits.behind[pixel]
+        hits.behind[pixel] = wp.vec4(behind[0], behind[1], behind[2], 0.0)
+
+
 @wp.kernel
 def filter_primary(
     # In:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_lean import WALK_ON, WALK_STOPPED, LayerWalk, accept_layer, start_walk
-from .gbuffer_layers import layer_seed, store_found
+from .gbuffer_layers import layer_seed, store_stop
 from .gbuffer_rays import PrimaryHits, primary_ray
 from .intersect import MISS
 from .paths import make_hit
@@ -36,13 +36,17 @@ def filter_primary_lean(
     views: wp.array[View],
     scene: Scene,
     width: int,
+    lit: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     hits_out: PrimaryHits,
 ):
-    """Pass or stop at each layer of listed pixels by chance, see gbuffer_layers.filter_primary."""
+    """Pass or stop at each layer of listed pixels by chance, see gbuffer_layers.filter_primary.
+
+    `lit` 1: gbuffer_behind.py has found what shines behind them.
+    """
     i = wp.tid()
     pixel = int(-1)
     walk = LayerWalk()
@@ -58,6 +62,6 @@ def filter_primary_lean(
             walk = meet_pixel_layer(load_view(views), scene, width, hits_out, pixel, walk)
             if walk.state != WALK_ON:
                 if walk.state == WALK_STOPPED:
-                    store_found(hits_out, pixel, walk.hit)
+                    store_stop(hits_out, pixel, walk.hit, lit)
                 hits_out.weight[pixel] = walk.weight
                 pixel = int(-1)

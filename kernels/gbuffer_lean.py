@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import GBuffer
-from .gbuffer_rays import PrimaryHits, primary_ray
+from .gbuffer_rays import PrimaryHits, light_weight, primary_ray, veil_flag, veiled_light
 from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
 from .intersect import MISS
 from .node_lean import lean_surface, run_lean
@@ -26,7 +26,7 @@ def shade_lean(
     scene: Scene,
     width: int,
     height: int,
-    filtered: int,
+    layers: int,
     hits: PrimaryHits,
     # Out:
     gbuffer_out: GBuffer,
@@ -44,11 +44,10 @@ def shade_lean(
         return
     view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
-    weight = wp.vec3(1.0, 1.0, 1.0)
-    if filtered == 1:
-        weight = hits.weight[pixel]
     if missed:
-        store_world(view, scene, scene.environment.radiance, weight, gbuffer_out, pixel)
+        store_world(
+            view, scene, veiled_light(hits, layers, pixel, scene.environment.radiance),
+            veil_flag(hits, layers, pixel), gbuffer_out, pixel)
         return
     point = pixel_point(view, scene, hits, pixel, ray)
     program = load_material_flags(scene.materials.materials, point.material)
@@ -58,5 +57,6 @@ def shade_lean(
     closure = run_lean(scene, point, program[0])
     surface = lean_surface(scene.tables, closure, point)
     store_surface(
-        view, scene, point, surface.albedo, surface.normal, surface.cosine, closure.emission, weight, gbuffer_out,
-        pixel)
+        view, scene, point, surface.albedo, surface.normal, surface.cosine,
+        veiled_light(hits, layers, pixel, closure.emission), light_weight(hits, layers, pixel),
+        veil_flag(hits, layers, pixel), gbuffer_out, pixel)

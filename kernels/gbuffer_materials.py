@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import GBuffer
-from .gbuffer_rays import PrimaryHits, primary_ray
+from .gbuffer_rays import PrimaryHits, light_weight, primary_ray, veil_flag, veiled_light
 from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
 from .intersect import MISS
 from .layering import prepare_bsdf
@@ -24,14 +24,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 
 @wp.func
-def shade_pixel(view: View, scene: Scene, width: int, filtered: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int):
+def shade_pixel(view: View, scene: Scene, width: int, layers: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int):
     """Fill one pixel's entry."""
     x = pixel % width
     y = pixel // width
     ray = primary_ray(view, x, y)
-    weight = wp.vec3(1.0, 1.0, 1.0)
-    if filtered == 1:
-        weight = hits.weight[pixel]
     point = pixel_point(view, scene, hits, pixel, ray)
     closure = Closure()
     start = scene.materials.world_start
@@ -46,12 +43,14 @@ def shade_pixel(view: View, scene: Scene, width: int, filtered: int, hits: Prima
         radiance = closure.emission
         if scene.environment.constant == 1:
             radiance = scene.environment.radiance
-        store_world(view, scene, radiance, weight, gbuffer, pixel)
+        store_world(
+            view, scene, veiled_light(hits, layers, pixel, radiance), veil_flag(hits, layers, pixel), gbuffer, pixel)
     else:
         bsdf = prepare_bsdf(scene.tables, closure, point)
         store_surface(
             view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
-            wp.dot(bsdf.specular_normal, point.wo), bsdf.emission, weight, gbuffer, pixel)
+            wp.dot(bsdf.specular_normal, point.wo), veiled_light(hits, layers, pixel, bsdf.emission),
+            light_weight(hits, layers, pixel), veil_flag(hits, layers, pixel), gbuffer, pixel)
 
 
 @wp.kernel
@@ -60,7 +59,7 @@ def shade_primary(
     views: wp.array[View],
     scene: Scene,
     width: int,
-    filtered: int,
+    layers: int,
     hits: PrimaryHits,
     stride: int,
     count: wp.array[int],
@@ -73,5 +72,5 @@ def shade_primary(
     while i < count[0]:
         pixel = queue[i]
         if gbuffer_out.hit[pixel][0] == LEFT:
-            shade_pixel(views[0], scene, width, filtered, hits, gbuffer_out, pixel)
+            shade_pixel(views[0], scene, width, layers, hits, gbuffer_out, pixel)
         i = i + stride

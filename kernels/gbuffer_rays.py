@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import CameraRay, camera_ray
-from .gbuffer import SURFACE_EMITS, GBuffer
+from .gbuffer import SURFACE_EMITS, SURFACE_VEILED, GBuffer
 from .geometry_math import is_finite3
 from .intersect import MISS, Layer, closest_hit, closest_layer
 from .lamp_hit import FAR
@@ -19,6 +19,12 @@ from .types import VISIBLE_CAMERA, Scene
 from .view import View, film_position
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+# How kernels are told of layers: there are none, there are some, and something may shine behind them.
+LAYERS_NONE = wp.constant(0)
+LAYERS_DARK = wp.constant(1)
+LAYERS_LIT = wp.constant(2)
 
 
 @wp.struct
@@ -36,6 +42,9 @@ class PrimaryHits:
     layer_barycentrics: wp.array[wp.vec2]
     weight: wp.array[wp.vec3]
     """What the layers in front of the hit leave of its light"""
+    behind: wp.array[wp.vec4]
+    """Where there is a layer: radiance of what shines behind all of them, as far as they let it through; w = 1 where
+    the hit is just that. Valid with LAYERS_LIT alone"""
 
 
 @wp.func
@@ -60,6 +69,33 @@ def store_primary_layer(hits: PrimaryHits, pixel: int, layer: Layer):
     hits.layer[pixel] = ids
     hits.layer_barycentrics[pixel] = weights
     hits.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+
+
+@wp.func
+def light_weight(hits: PrimaryHits, layers: int, pixel: int) -> wp.vec3:
+    """Return what the layers in front of a pixel's hit leave of its light; `layers`: LAYERS_*."""
+    if layers == LAYERS_NONE:
+        return wp.vec3(1.0, 1.0, 1.0)
+    return hits.weight[pixel]
+
+
+@wp.func
+def veil_flag(hits: PrimaryHits, layers: int, pixel: int) -> wp.uint32:
+    """Return SURFACE_VEILED for a pixel with a layer, else 0; `layers`: LAYERS_*."""
+    if layers != LAYERS_NONE:
+        if hits.layer[pixel][0] != MISS:
+            return SURFACE_VEILED
+    return wp.uint32(0)
+
+
+@wp.func
+def veiled_light(hits: PrimaryHits, layers: int, pixel: int, emitted: wp.vec3) -> wp.vec3:
+    """Return what arrives of the light that a pixel's hit emits, and of what shines behind it; `layers`: LAYERS_*."""
+    light = wp.cw_mul(emitted, light_weight(hits, layers, pixel))
+    if layers == LAYERS_LIT and veil_flag(hits, layers, pixel) != wp.uint32(0):
+        behind = hits.behind[pixel]
+        light = light * (1.0 - behind[3]) + wp.vec3(behind[0], behind[1], behind[2])
+    return light
 
 
 @wp.kernel
@@ -105,7 +141,7 @@ def add_lamps(
     views: wp.array[View],
     scene: Scene,
     width: int,
-    filtered: int,
+    layers: int,
     hits: PrimaryHits,
     # Out:
     gbuffer_out: GBuffer,
@@ -118,8 +154,7 @@ def add_lamps(
     if hits.hit[pixel][0] == MISS:
         t_max = FAR
     total = lamps_along(scene.lights, VISIBLE_CAMERA, 0.0, ray.origin, ray.direction, t_max)
-    if filtered == 1:
-        total = wp.cw_mul(total, hits.weight[pixel])
+    total = wp.cw_mul(total, light_weight(hits, layers, pixel))
     total = total * view.exposure
     if is_finite3(total) and wp.length_sq(total) > 0.0:
         gbuffer_out.emission[pixel] = to_half(from_half(gbuffer_out.emission[pixel]) + rgba(total, 0.0))

@@ -110,7 +110,7 @@ def widened(roughness: float, added: float) -> float:
 @wp.func
 def store_surface(
     view: View, scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, shading_normal: wp.vec3, cosine: float,
-    emitted: wp.vec3, weight: wp.vec3, gbuffer: GBuffer, pixel: int,
+    emitted: wp.vec3, weight: wp.vec3, flags: wp.uint32, gbuffer: GBuffer, pixel: int,
 ):
     """Pack a surface.
 
@@ -121,8 +121,9 @@ def store_surface(
         albedo: Of its BSDF for this view.
         shading_normal: Normal map and bump included.
         cosine: Of the view with the normal that reflects it.
-        emitted: Radiance.
+        emitted: Radiance that arrives of its own light and of what shines behind it.
         weight: What transparent layers in front let through.
+        flags: SURFACE_* bits known so far.
         gbuffer: What to fill.
         pixel: Which entry.
     """
@@ -147,14 +148,14 @@ def store_surface(
     if albedo.coat > 0.0 and wp.isfinite(albedo.coat):
         material.coat = wp.min(albedo.coat * mean_component(weight), 1.0)
         material.coat_roughness = widened(albedo.coat_roughness, added)
-    emission = finite_or_zero(wp.cw_mul(emitted, weight)) * view.exposure
+    emission = finite_or_zero(emitted) * view.exposure
     alpha = float(1.0)
     if (load_instance(scene.geometry.instances, point.instance).visibility & HOLDOUT) != 0:
         # It keeps its geometry for the passes that look at neighbours, and gives no light at all.
         material = SurfaceMaterial()
         emission = wp.vec3(0.0, 0.0, 0.0)
         alpha = 0.0
-    material.flags = wp.where(max_component(emission) > 0.0, SURFACE_EMITS, wp.uint32(0))
+    material.flags = flags | wp.where(max_component(emission) > 0.0, SURFACE_EMITS, wp.uint32(0))
     if point.backfacing == 1:
         material.flags = material.flags | SURFACE_BACKFACING
     # Stores come last: loads after them could not be moved before them.
@@ -168,16 +169,18 @@ def store_surface(
 
 
 @wp.func
-def store_world(view: View, scene: Scene, radiance: wp.vec3, weight: wp.vec3, gbuffer: GBuffer, pixel: int):
-    """Pack a pixel that shows the world."""
+def store_world(view: View, scene: Scene, radiance: wp.vec3, flags: wp.uint32, gbuffer: GBuffer, pixel: int):
+    """Pack a pixel that shows the world; `radiance`: what arrives."""
     gbuffer.depth[pixel] = SKY_DEPTH
     gbuffer.hit[pixel] = wp.vec2i(MISS, MISS)
     gbuffer.barycentrics[pixel] = wp.uint32(0)
     up = pack_normal(wp.vec3(0.0, 0.0, 1.0))
     gbuffer.geometric_normal[pixel] = up
     gbuffer.normal[pixel] = up
-    store_material(gbuffer, pixel, SurfaceMaterial())
-    light = finite_or_zero(wp.cw_mul(radiance, weight)) * view.exposure
+    material = SurfaceMaterial()
+    material.flags = flags
+    store_material(gbuffer, pixel, material)
+    light = finite_or_zero(radiance) * view.exposure
     if view.transparent == 1:
         gbuffer.emission[pixel] = to_half(wp.vec4(0.0, 0.0, 0.0, 0.0))
         return

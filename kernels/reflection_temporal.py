@@ -57,6 +57,9 @@ RENEWED_DEVIATION = wp.constant(0.7)
 # have what was before.
 RENEWED_FRAMES = wp.constant(4)
 RENEWED_MINIMUM = wp.constant(2.0)
+# Of the frames that a mean may hold in motion, those of a mirror's: its samples have little noise, and what comes into
+# it from aside, or from behind something, would shine through what it showed before.
+MIRROR_SHARE = wp.constant(0.25)
 # Frames at rest after which changes are not looked for: what looks like one is chance.
 REST_FRAMES = wp.constant(16.0)
 # Frames at rest after which means are not kept near a frame's light any more: what came along from motion has gone.
@@ -219,8 +222,9 @@ def accumulate_reflections(
             settling = settling_frames(view)
             settled = wp.max(SETTLING_SHARE * settling, settling - SETTLED_FRAMES)
             # Mirrors get a sample of their own only in their turn: as many frames are fewer samples there.
+            most = frames * wp.lerp(1.0, MIRROR_SHARE, fading(roughness, DISTANCE_ROUGHNESS, DISTANCE_BLEND))
             cap = wp.min(
-                history_cap(view.rest, view.light_age, wp.max(frames * state[3], 1.0)), 1.0 + state[3] * settled)
+                history_cap(view.rest, view.light_age, wp.max(most * state[3], 1.0)), 1.0 + state[3] * settled)
             if view.light_age < EDIT_FRAMES:
                 # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
                 cap *= wp.max(confidence, START_CONFIDENCE)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import (
+    SURFACE_VEILED,
     GBuffer,
     Surface,
     barycentrics_of,
@@ -16,7 +17,7 @@ from .gbuffer import (
 )
 from .geometry_math import is_finite3, sqr
 from .motion import Motion, previous_point
-from .reprojection import MOVED, Reprojection, tap_pixel
+from .reprojection import MOVED, VEILED, Reprojection, tap_pixel
 from .types import Scene
 from .view import (
     View,
@@ -99,6 +100,7 @@ def reproject(
     y = pixel // width
     surface = load_surface(view, gbuffer, width, pixel)
     tolerance = plane_tolerance(view, surface)
+    veiled = (gbuffer.material[pixel] & SURFACE_VEILED) != wp.uint32(0)
     change = wp.vec2(0.0, 0.0)
     taps = int(0)
     if not has_surface(surface):
@@ -128,6 +130,8 @@ def reproject(
             i = left + (tap & 1)
             j = bottom + (tap >> 1)
             if i >= 0 and j >= 0 and i < width and j < height:
+                if veiled:
+                    taps = taps | int(VEILED)
                 other = load_previous_surface(view, previous, width, tap_pixel(position, tap, width))
                 if same_surface(surface, other, tolerance):
                     taps = taps | (1 << tap)

@@ -15,11 +15,15 @@ class Reprojection:
     centre at (i + 0.5, j + 0.5)"""
     taps: wp.array[wp.uint8]
     """Bits 0..3: which of the 2x2 pixels around `position` show the same surface, in the order (0, 0), (1, 0),
-    (0, 1), (1, 1) from floor(position - 0.5); none: the surface has just come into view. MOVED"""
+    (0, 1), (1, 1) from floor(position - 0.5); none: the surface has just come into view. MOVED, VEILED"""
 
 
 # Reprojection.taps of a surface that has moved itself, since the frame before.
 MOVED = wp.constant(wp.uint8(1 << 4))
+
+# The same where the pixel shows one of several surfaces by chance (SURFACE_VEILED) and lay in the picture: it may have
+# shown another one, of which its mean colour is a part too.
+VEILED = wp.constant(wp.uint8(1 << 5))
 
 
 @wp.func

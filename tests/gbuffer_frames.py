@@ -9,7 +9,7 @@ from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_data import frame_row
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.motion import MotionTracker
-from burnish.engine.passes.gbuffer import GBufferPass
+from burnish.engine.passes.gbuffer import GBufferPass, shines_plainly
 from burnish.engine.settings import PerformanceSettings
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels.gbuffer import GBuffer, SurfaceMaterial, load_material, load_surface
@@ -73,7 +73,9 @@ class GBufferFrames:
         if graph is None:
             graph = FrameGraph(self.device)
             self.gbuffer_pass.record(
-                graph, parity, scene, self.views.array, filtered=self.scene.structures.has_filtered)
+                graph, parity, scene, self.views.array, filtered=self.scene.structures.has_filtered,
+                lean_layers=self.scene.material_table.lean.transparency,
+                shining=shines_plainly(scene, self.scene.emitters))
             self.gbuffer_pass.record_reprojection(graph, parity, scene, self.views.array, motion)
             if self.graphs is not None:
                 self.graphs[key] = graph

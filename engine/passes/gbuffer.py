@@ -8,6 +8,7 @@ import warp as wp
 from ...kernels import (
     compaction,
     flat_tracing,
+    gbuffer_behind,
     gbuffer_debug,
     gbuffer_layers,
     gbuffer_layers_lean,
@@ -23,6 +24,7 @@ from ...kernels.pixel_order import PIXEL_BLOCK
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
+from ..emitters import EmitterTable
 from ..frame_graph import FrameGraph
 from ..history import History
 from ..structures import is_flat
@@ -48,6 +50,11 @@ DEBUG_CHANNELS = {
     "gbuffer.instance": gbuffer_debug.GBUFFER_INSTANCE,
     "gbuffer.disocclusion": gbuffer_debug.GBUFFER_DISOCCLUSION,
 }
+
+
+def shines_plainly(scene: Scene, emitters: EmitterTable) -> bool:
+    """Return whether the radiance of anything that is seen through layers may be known without a program."""
+    return len(emitters.power) > 0 or (scene.environment.constant == 1 and max(scene.environment.radiance) > 0.0)
 
 
 class GBufferPass:
@@ -79,7 +86,8 @@ class GBufferPass:
     def _fit_layers(self, count: int) -> None:
         """Allocate what only scenes with transparent layers need."""
         self._fill(self.hits, {
-            "layer_t": wp.float32, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "weight": wp.vec3}, count)
+            "layer_t": wp.float32, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "weight": wp.vec3,
+            "behind": wp.vec4}, count)
         self.layered = make_work_list(count, self.device)
 
     def reset(self) -> None:
@@ -96,7 +104,7 @@ class GBufferPass:
 
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, *, filtered: bool = True,
-        all_lean: bool = False, lean_layers: bool = False,
+        all_lean: bool = False, lean_layers: bool = False, shining: bool = False,
     ) -> GBuffer:
         """Record the G-buffer of a frame.
 
@@ -108,30 +116,35 @@ class GBufferPass:
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
+            shining: Whether layers may hide what shines without a program (see shines_plainly).
         """
         width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
         count, side = width * height, int(PIXEL_BLOCK)
         in_blocks = -(-width // side) * -(-height // side) * side * side
-        if filtered and len(hits.weight) != count:
-            self._fit_layers(count)
+        layers = int(gbuffer_rays.LAYERS_NONE)
+        if filtered:
+            layers = int(gbuffer_rays.LAYERS_LIT if shining and lean_layers else gbuffer_rays.LAYERS_DARK)
+            if len(hits.weight) != count:
+                self._fit_layers(count)
         with graph.section("Primary rays"):
             if is_flat(scene):
                 graph.launch(flat_tracing.trace_flat_primary, in_blocks, [views, scene, width, height], [hits])
             else:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
             if filtered:
-                self._record_layers(graph, scene, views, in_blocks, lean_layers)
+                self._record_layers(
+                    graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
         with graph.section("Materials"):
             graph.launch(
-                gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, int(filtered), hits], [gbuffer])
+                gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, layers, hits], [gbuffer])
             if not all_lean or scene.environment.constant == 0:
                 graph.fill_list(
                     compaction.append_left_pixels, in_blocks, [gbuffer.hit, width, height], self.left)
                 graph.launch_listed(
-                    gbuffer_materials.shade_primary, [views, scene, width, int(filtered), hits], self.left, [gbuffer],
+                    gbuffer_materials.shade_primary, [views, scene, width, layers, hits], self.left, [gbuffer],
                     few=True)
             if scene.lights.lamp_count > 0:
-                graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, int(filtered), hits], [gbuffer])
+                graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])
         return gbuffer
 
     def record_reprojection(
@@ -144,8 +157,10 @@ class GBufferPass:
                 [views, scene, motion, self.width, self.height, self.current(parity), self.previous(parity)],
                 [self.reprojection])
 
-    def _record_layers(self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool) -> None:
-        """Record looking through the layers in front of what pixels show."""
+    def _record_layers(
+        self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool, lit: bool,
+    ) -> None:
+        """Record looking through the layers in front of what pixels show; `lit`: something may shine behind them."""
         width, height, hits = self.width, self.height, self.hits
         if is_flat(scene):
             graph.launch(flat_tracing.trace_flat_primary_layers, in_blocks, [views, scene, width, height], [hits])
@@ -154,8 +169,12 @@ class GBufferPass:
         if lean:
             graph.fill_list(
                 compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
+            if lit:
+                graph.launch_listed(
+                    gbuffer_behind.see_through, [views, scene, width], self.layered, [hits], few=True)
             graph.launch_listed(
-                gbuffer_layers_lean.filter_primary_lean, [views, scene, width], self.layered, [hits], few=True)
+                gbuffer_layers_lean.filter_primary_lean, [views, scene, width, int(lit)], self.layered, [hits],
+                few=True)
         else:
             graph.launch(gbuffer_layers.filter_primary, width * height, [views, scene, width], [hits])
 
