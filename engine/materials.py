@@ -27,15 +27,23 @@ from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
 from .scene import CameraData, CameraKind, InstanceTable, MaterialData
 
-__all__ = ["MaterialTable", "attribute_names", "default_material", "materials_in_use"]
+__all__ = ["PRINCIPLED_DEFAULTS", "MaterialTable", "attribute_names", "default_material", "materials_in_use"]
 
 END = (codes.OP_END, 0, 0, 0)
 
 
+PRINCIPLED_DEFAULTS = {
+    "ior": 1.5, "specular_level": 0.5, "specular_tint": (1.0, 1.0, 1.0), "coat_ior": 1.5, "coat_tint": 1.0,
+    "sheen_tint": 1.0, "sheen_roughness": 0.5,
+}
+"""Arguments of a new Principled BSDF that are not zero in Blender, but its colour and roughness"""
+
+
 def default_material() -> MaterialData:
-    """Return the material of slots without one: Cycles' default surface, a Diffuse BSDF of 0.8."""
+    """Return the material of slots without one: a new Principled BSDF, as in Cycles since Blender 5.0."""
     builder = ProgramBuilder()
-    builder.closure("DIFFUSE", 1.0, color=0.8)
+    builder.closure("PRINCIPLED", 1.0, multiscatter=True, color=0.8, roughness=0.5, coat_roughness=0.03,
+                    **PRINCIPLED_DEFAULTS)
     return MaterialData(name="Default", program=builder.finish())
 
 

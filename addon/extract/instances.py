@@ -9,6 +9,7 @@ extraction and must not be kept.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
@@ -37,13 +38,14 @@ _NOT_DRAWN = {
 }
 
 _RAY_FLAGS = (
-    ("visible_camera", Visibility.CAMERA),
-    ("visible_diffuse", Visibility.DIFFUSE),
-    ("visible_glossy", Visibility.GLOSSY),
-    ("visible_transmission", Visibility.TRANSMISSION),
-    ("visible_shadow", Visibility.SHADOW),
-    ("visible_volume_scatter", Visibility.VOLUME),
+    ("visible_camera", Visibility.CAMERA.value),
+    ("visible_diffuse", Visibility.DIFFUSE.value),
+    ("visible_glossy", Visibility.GLOSSY.value),
+    ("visible_transmission", Visibility.TRANSMISSION.value),
+    ("visible_shadow", Visibility.SHADOW.value),
+    ("visible_volume_scatter", Visibility.VOLUME.value),
 )
+_ALL_RAYS = Visibility.ALL.value
 
 
 class ExtractionCancelled(Exception):
@@ -170,6 +172,7 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Re
     )
 
 
+@functools.lru_cache(maxsize=1 << 16)
 def object_random_id(name: str) -> int:
     """Return Object Info's random id of an object that isn't instanced: Cycles' hash of its name (util/hash.h)."""
     mask = 0xFFFFFFFF
@@ -211,7 +214,7 @@ class _Walk:
             return -1
         parent = instance.parent if instance.is_instance else item
         visibility = self._visibility(item, parent, owner.name)
-        if not visibility & Visibility.ALL:
+        if not visibility & _ALL_RAYS:
             return -1
         self._report_linking(owner)
         source = self._source(owner, item)
@@ -244,15 +247,17 @@ class _Walk:
 
     def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object, name: str) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""
-        visibility = _ray_visibility(item) & _ray_visibility(parent)
+        visibility = _ray_visibility(item)
+        if parent is not item:
+            visibility &= _ray_visibility(parent)
         if parent.holdout_get(view_layer=self.view_layer):
-            visibility |= Visibility.HOLDOUT
+            visibility |= Visibility.HOLDOUT.value
         elif parent.indirect_only_get(view_layer=self.view_layer):
-            visibility &= ~Visibility.CAMERA
+            visibility &= ~Visibility.CAMERA.value
         if item.type != 'LIGHT' and (item.is_shadow_catcher or parent.is_shadow_catcher):
-            visibility |= Visibility.SHADOW_CATCHER
+            visibility |= Visibility.SHADOW_CATCHER.value
             self.report.add(ReportKind.SKIPPED, f"object '{name}'", "shadow catchers are not drawn in this version")
-        return int(visibility)
+        return visibility
 
     def _source(self, owner: bpy.types.Object, item: bpy.types.Object) -> int:
         key = (owner.as_pointer(), item.data.as_pointer())
@@ -292,12 +297,9 @@ def _uppermost(item: bpy.types.Object) -> bpy.types.Object:
     return item
 
 
-def _ray_visibility(item: bpy.types.Object) -> Visibility:
-    visibility = Visibility(0)
-    for name, bit in _RAY_FLAGS:
-        if getattr(item, name):
-            visibility |= bit
-    return visibility
+def _ray_visibility(item: bpy.types.Object) -> int:
+    # Plain numbers: operations on flags take most of the time to read a scene of many objects.
+    return sum(bit for name, bit in _RAY_FLAGS if getattr(item, name))
 
 
 def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.ndarray,

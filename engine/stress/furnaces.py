@@ -20,11 +20,11 @@ import warp as wp
 from ...kernels.node_lean import LeanClosure
 from ...kernels.white_share import measure_white_shares
 from ..device import launch
+from ..materials import PRINCIPLED_DEFAULTS
 from ..settings import Integrator
 from ..tables import albedo_tables
 from .cases import BOTH, Case, Trial, luminance
 from .scenes import (
-    BLENDER_DEFAULTS,
     EYE,
     Placed,
     StressScene,
@@ -77,7 +77,7 @@ def surfaces(trial: Trial) -> Sequence[dict[str, float]]:
 
 
 @functools.cache
-def white_share(roughness: float, metallic: float, ior: float = BLENDER_DEFAULTS["ior"]) -> float:
+def white_share(roughness: float, metallic: float, ior: float = PRINCIPLED_DEFAULTS["ior"]) -> float:
     """Return the share of all light that a white Principled surface of weight 1 returns."""
     closure = LeanClosure()
     closure.weight, closure.color, closure.normal = 1.0, wp.vec3(1.0, 1.0, 1.0), wp.vec3(0.0, 0.0, 1.0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..materials import PRINCIPLED_DEFAULTS
 from ..program import ProgramBuilder
 from ..scene import (
     CameraData,
@@ -35,12 +36,6 @@ EYE = np.eye(4)
 
 BAKED_STEP = 1.0 / 1024.0
 """Metres: float32 holds its multiples up to 16 km"""
-
-BLENDER_DEFAULTS = {
-    "ior": 1.5, "specular_level": 0.5, "specular_tint": (1.0, 1.0, 1.0), "coat_ior": 1.5, "coat_tint": 1.0,
-    "sheen_tint": 1.0, "sheen_roughness": 0.5,
-}
-"""Arguments of the Principled BSDF that are not zero in Blender"""
 
 
 @dataclass
@@ -142,7 +137,7 @@ def material(kind: str = "DIFFUSE", weight: Any = 1.0, emission: Any = 0.0, **ar
 
 def principled(weight: Any = 1.0, emission: Any = 0.0, **arguments: Any) -> MaterialData:
     """Return a Principled material; arguments that are not given are Blender's."""
-    return material("PRINCIPLED", weight, emission, **{**BLENDER_DEFAULTS, **arguments})
+    return material("PRINCIPLED", weight, emission, **{**PRINCIPLED_DEFAULTS, **arguments})
 
 
 def emitter(radiance: Any, reflectance: float = 0.0) -> MaterialData:

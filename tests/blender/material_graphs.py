@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from burnish.engine.materials import default_material
 from burnish.engine.report import Report
 from node_graphs import TOLERANCE, Graph, components, make_image, node_graph, vector
 from node_scenes import Harness, extract_light_factor, extract_material, new_material
@@ -74,6 +75,14 @@ def principled_closure(harness: Harness) -> dict:
     found["nee_emission"] = result["emission"][0].tolist()
     found["thin_walls"] = thin_walls
     return found
+
+
+def default_closures(harness: Harness) -> list[list[float]]:
+    """Return the closures of a new material and of slots without one as rows of numbers."""
+    material = bpy.data.materials.new("New")
+    material.use_nodes = True
+    closures = [harness.machine(material)["closures"][0], harness.run(default_material())["closures"][0]]
+    return [np.hstack([closure[name].ravel() for name in closure.dtype.names]).tolist() for closure in closures]
 
 
 def mixed(first: Graph, second: Graph, kind: str = "MixShader", factor: float = 0.5) -> Graph:

@@ -155,7 +155,10 @@ class Harness:
 
     def machine(self, material: bpy.types.Material, u: float = 0.5) -> dict[str, np.ndarray]:
         """Return what the node machine says about each pixel's point: closures, emission, transparency."""
-        data = extract_material(material, self.images, self.report)
+        return self.run(extract_material(material, self.images, self.report), u)
+
+    def run(self, data: object, u: float = 0.5) -> dict[str, np.ndarray]:
+        """Return the same of a material's data."""
         scene = self._scene({"m": data}, None)
         points = self._points(1)
         count = len(points)

@@ -50,7 +50,7 @@ def found(run_nodes: Callable) -> dict:
     """Return everything else that tests look at, from one child process, each with a harness of its own."""
     pairs = ", ".join(f"{name!r}: {name}(Harness())" for name in (
         "compare_worlds", "principled_closure", "material_flags", "report_of_everything", "lamp_factors",
-        "oversized_material"))
+        "oversized_material", "default_closures"))
     return run_nodes(f"finish({{{pairs}}})")
 
 
@@ -69,6 +69,12 @@ def test_worlds_agree_with_cycles(found: dict):
     assert worlds["plain color"]["constant"] == pytest.approx([0.15, 0.3, 0.45])
     assert worlds["panorama"]["constant"] is None and worlds["panorama"]["resolution"] == 512
     assert worlds["nothing"]["constant"] == [0.0, 0.0, 0.0]
+
+
+def test_slots_without_material_have_a_new_one(found: dict):
+    """Draw what has no material as Blender's new Principled BSDF, as Cycles does."""
+    new, default = found["default_closures"]
+    assert new == pytest.approx(default, abs=1e-6)
 
 
 def test_principled_sockets(found: dict):

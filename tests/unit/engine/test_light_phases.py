@@ -11,7 +11,7 @@ from burnish.engine.passes.radiance_cache import RadianceCachePass
 from burnish.engine.scene import LightKind, SceneDelta
 from burnish.engine.session import Session
 from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
-from burnish.kernels.cache_rays import resume_bounces
+from burnish.kernels.cache_rays import UNWATCHED, resume_bounces
 from burnish.kernels.hash_grid import NO_CELL
 from burnish.kernels.paths import ENDED
 
@@ -89,6 +89,24 @@ def test_settled_frames_keep_the_light(settled, monkeypatch):
     assert waiting.mean() > 0.1
     assert abs(picture.mean() / waiting.mean() - 1.0) < 0.01
     assert not np.array_equal(picture, waiting)
+
+
+def test_known_cells_are_watched_in_turns(settled):
+    """Look for lights at few hits in cells that know enough while the camera moves; at all others, and at rest."""
+    made, _ = settled
+    fly(made, 2, 300)
+    cache = made._realtime.pipeline.cache
+
+    def unwatched():
+        cells = cache.vertices.cell.numpy()[:cache.count]
+        return cells, cache.paths.radiance.numpy()[:cache.count, 3] == float(UNWATCHED)
+
+    cells, without = unwatched()
+    known = cells[cells != NO_CELL]
+    assert 0.2 < without.sum() / len(known) < 0.76
+    assert (cache.grid.direct.numpy()[cells[without], 3] >= cache.settings.sample_cap).all()
+    made.step(1)
+    assert not unwatched()[1].any()
 
 
 def test_bounce_rays_are_followed_once(settled):
