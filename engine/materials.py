@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Hashable, Iterable, Mapping
 
 import numpy as np
@@ -39,12 +40,18 @@ PRINCIPLED_DEFAULTS = {
 """Arguments of a new Principled BSDF that are not zero in Blender, but its colour and roughness"""
 
 
-def default_material() -> MaterialData:
-    """Return the material of slots without one: a new Principled BSDF, as in Cycles since Blender 5.0."""
+@functools.cache
+def default_program() -> Program:
+    """Return a new Principled BSDF's program."""
     builder = ProgramBuilder()
     builder.closure("PRINCIPLED", 1.0, multiscatter=True, color=0.8, roughness=0.5, coat_roughness=0.03,
                     **PRINCIPLED_DEFAULTS)
-    return MaterialData(name="Default", program=builder.finish())
+    return builder.finish()
+
+
+def default_material() -> MaterialData:
+    """Return the material of slots without one: a new Principled BSDF, as in Cycles since Blender 5.0."""
+    return MaterialData(name="Default", program=default_program())
 
 
 def materials_in_use(table: InstanceTable, used_slots: list[np.ndarray], drawn: np.ndarray) -> set[Hashable]:
