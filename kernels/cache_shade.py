@@ -7,7 +7,16 @@ import warp as wp
 
 from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed
 from .geometry_math import is_finite3
-from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, find_lit_cell, indirect_light, known_indirect
+from .hash_grid import (
+    NO_CELL,
+    HashGrid,
+    cell_level,
+    cell_size,
+    find_lit_cell,
+    indirect_light,
+    is_lit,
+    known_indirect,
+)
 from .packing import rgb, unpack_normal
 from .paths import Paths
 from .probe_rays import ProbeRays
@@ -81,14 +90,17 @@ def cached_light(
 ) -> wp.vec3:
     """Return irradiance / pi at a probe ray's hit, filtered by the cache; `own` is the hit's own direct light.
 
-    Hits nearer than a cell take their own direct light: a cell is too coarse to tell on which side of a contact the
-    light ends, and whether a wall is in between. So do hits for which there is no cell.
+    It is that of the hit's own cell, not jittered as for reflections: a probe's rays hide the cells' borders, and light
+    leaks less far. Hits nearer than a cell take their own direct light: a cell is too coarse to tell on which side of a
+    contact the light ends, and whether a wall is in between. So do hits for which there is no cell.
     """
     p = vertices.position[slot]
     position = wp.vec3(p[0], p[1], p[2])
     normal = unpack_normal(vertices.geometric_normal[slot])
     seed = cell_seed(slot, view.frame)
-    cell = find_lit_cell(grid, view, position, normal, direction, seed)
+    cell = vertices.cell[slot]
+    if not is_lit(grid, cell):
+        cell = find_lit_cell(grid, view, position, normal, direction, seed)
     direct = own
     near = vertices.emission[slot][3] < cell_size(cell_level(grid, view.camera, position, seed))
     if cell != NO_CELL and not (cone_test == 1 and near):

@@ -256,6 +256,14 @@ def insert_cell(
 
 
 @wp.func
+def is_lit(grid: HashGrid, cell: int) -> bool:
+    """Return whether a cell, or NO_CELL, has samples of direct light."""
+    if cell == NO_CELL:
+        return False
+    return grid.direct[cell][3] > 0.0
+
+
+@wp.func
 def find_lit_cell(
     grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
 ) -> int:
@@ -268,9 +276,8 @@ def find_lit_cell(
     cell = find_key(grid, cell_key(grid, level, aside, normal, direction))
     step = int(0)
     while step < 3:
-        if cell != NO_CELL:
-            if grid.direct[cell][3] > 0.0:
-                return cell
+        if is_lit(grid, cell):
+            return cell
         other = level
         if step == 1:
             other = level + 1
@@ -278,9 +285,8 @@ def find_lit_cell(
             other = level - 1
         cell = find_key(grid, cell_key(grid, other, position, normal, direction))
         step = step + 1
-    if cell != NO_CELL:
-        if not grid.direct[cell][3] > 0.0:
-            cell = NO_CELL
+    if not is_lit(grid, cell):
+        cell = NO_CELL
     return cell
 
 
