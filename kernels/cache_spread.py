@@ -43,7 +43,7 @@ REBALANCE_MAX = wp.constant(4.0)
 # Share of a source's own light that stands for a hit of which nothing is known. All of it would feed on itself: a white
 # ball under a white sky came out 6 % too bright, while a share of 0.5 leaves rooms a tenth darker for some frames. The
 # mean of what is known elsewhere would light rooms that no light reaches.
-UNKNOWN_SHARE = wp.constant(0.74)
+UNKNOWN_SHARE = wp.constant(0.72)
 
 
 @wp.func
