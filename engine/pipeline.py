@@ -42,6 +42,7 @@ __all__ = ["Pipeline"]
 PREPARATION, REPROJECTION, DIRECT = "preparation", "reprojection", "direct light"
 """Branches of the graph, besides the passes' own"""
 
+
 class Pipeline:
     """The passes of a frame, their order and their recorded launches."""
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, UNWATCHED, Vertices, cell_seed, slot_seed
+from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, UNWATCHED, Vertices, is_near, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
-from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size
+from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point
 from .lights import cell_side, sample_light
-from .packing import rgb, unpack_normal
+from .packing import unpack_normal
 from .path_shading import set_shadow_ray
 from .paths import PENDING_NONE, PENDING_WORLD, Paths, has_hit, load_hit
 from .sampling import hash_combine, hashed_unit, sample_number, sample_pair
@@ -41,8 +41,7 @@ def is_unwatched(grid: HashGrid, view: View, vertices: Vertices, slot: int, know
         return False
     if hashed_unit(hash_combine(slot_seed(slot), STREAM_WATCH), wp.uint32(view.frame)) < WATCHED_SHARE:
         return False
-    level = cell_level(grid, view.camera, rgb(vertices.position[slot]), cell_seed(slot, view.frame))
-    return vertices.emission[slot][3] >= cell_size(level)
+    return not is_near(grid, view, vertices, slot)
 
 
 @wp.func

@@ -11,10 +11,10 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import INV_PI, to_frame
-from .hash_grid import NO_CELL, HashGrid, coarse_key
+from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, coarse_key
 from .intersect import MISS, any_hit, closest_hit, offset_origin
 from .lamp_hit import FAR
-from .packing import unpack_normal
+from .packing import rgb, unpack_normal
 from .paths import ENDED, PENDING_NONE, Paths, store_hit
 from .probe_rays import ProbeRays
 from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_cosine, sample_pair
@@ -83,6 +83,13 @@ def slot_seed(slot: int) -> wp.uint32:
 def cell_seed(slot: int, frame: int) -> wp.uint32:
     """Return the random number with which a ray's hit looks up its cell."""
     return hash_combine(hash_combine(slot_seed(slot), STREAM_CELL), wp.uint32(frame))
+
+
+@wp.func
+def is_near(grid: HashGrid, view: View, vertices: Vertices, slot: int) -> bool:
+    """Return whether a hit is nearer than a cell is wide: too near for the cell's direct light (cone test)."""
+    level = cell_level(grid, view.camera, rgb(vertices.position[slot]), cell_seed(slot, view.frame))
+    return vertices.emission[slot][3] < cell_size(level)
 
 
 @wp.func

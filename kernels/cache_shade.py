@@ -5,18 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed
+from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, is_near
 from .geometry_math import is_finite3
-from .hash_grid import (
-    NO_CELL,
-    HashGrid,
-    cell_level,
-    cell_size,
-    find_lit_cell,
-    indirect_light,
-    is_lit,
-    known_indirect,
-)
+from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, is_lit, known_indirect
 from .packing import rgb, unpack_normal
 from .paths import Paths
 from .probe_rays import ProbeRays
@@ -102,8 +93,7 @@ def cached_light(
     if not is_lit(grid, cell):
         cell = find_lit_cell(grid, view, position, normal, direction, seed)
     direct = own
-    near = vertices.emission[slot][3] < cell_size(cell_level(grid, view.camera, position, seed))
-    if cell != NO_CELL and not (cone_test == 1 and near):
+    if cell != NO_CELL and not (cone_test == 1 and is_near(grid, view, vertices, slot)):
         direct = rgb(grid.direct[cell])
     return direct + indirect_light(grid, view, cell, position, normal, direction, seed)
 

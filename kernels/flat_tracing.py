@@ -199,7 +199,7 @@ def trace_flat_cache_shadows(
 
 
 @wp.kernel(cuda_max_registers=56)
-def trace_flat_listed_layers(
+def trace_flat_shadow_layers(
     # In:
     scene: Scene,
     options: Options,
@@ -219,22 +219,3 @@ def trace_flat_listed_layers(
             meet_shadow_layer(options, bounces, paths_out, slot, shadow_flat_layer(
                 scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance))
         i = i + stride
-
-
-@wp.kernel(cuda_max_registers=56)
-def trace_flat_shadow_layers(
-    # In:
-    first: int,
-    scene: Scene,
-    options: Options,
-    bounces: wp.array[int],
-    # Out:
-    paths_out: Paths,
-):
-    """Find the first triangle that needs a test on each shadow ray; see tracing.trace_shadow_layers."""
-    slot = first + wp.tid()
-    distance = paths_out.shadow_distance[slot]
-    if distance == 0.0:
-        return
-    meet_shadow_layer(options, bounces, paths_out, slot, shadow_flat_layer(
-        scene.geometry, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance))

@@ -56,13 +56,11 @@ def record_shadow_layers(
     """
     queue, layered = queue[offset : offset + count], layered.part(offset, count)
     shadows = [scene, make_options(filtered=True), one_number(bounces, graph.device)]
+    trace = flat_tracing.trace_flat_shadow_layers if is_flat(scene) else tracing.trace_shadow_layers
     if under_way is not None:
-        trace = flat_tracing.trace_flat_listed_layers if is_flat(scene) else tracing.trace_shadow_layers
         graph.launch_listed(trace, shadows, under_way, [paths])
-    elif is_flat(scene):
-        graph.launch(flat_tracing.trace_flat_shadow_layers, count, shadows, [paths], start=offset)
     else:
-        graph.launch_queued(tracing.trace_shadow_layers, shadows, queue, [paths])
+        graph.launch_queued(trace, shadows, queue, [paths])
     if lean:
         graph.fill_list(compaction.append_layered_shadows, count, [paths, offset], layered)
         graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, layered, [paths], few=True)

@@ -179,7 +179,7 @@ def test_flat_rays_find_the_same(scene):
             (tracing.trace_shadows, [all_of, options, one_number(1, device), *every(queue)], both),
             (flat_tracing.trace_flat_shadows, [0, all_of], flat),
             (tracing.trace_shadow_layers, [all_of, options, one_number(1, device), *every(queue)], both),
-            (flat_tracing.trace_flat_shadow_layers, [0, all_of, options, one_number(1, device)], flat)):
+            (flat_tracing.trace_flat_shadow_layers, [all_of, options, one_number(1, device), *every(queue)], flat)):
         wp.launch(kernel, COUNT, inputs, [paths], device=device, block_dim=64)
     assert_same(values(both, LIT), values(flat, LIT))
     assert (both.shadow_distance.numpy() == 0).mean() > 0.3
