@@ -28,7 +28,7 @@ from .long_mean import (
     valid_tap,
 )
 from .packed_halves import pack_halves, unpack_halves
-from .packing import rgb
+from .packing import rgb, rgba
 from .reprojection import Reprojection, has_tap, known_taps, tap_pixel
 from .view import SKY_DEPTH, View, settled_length
 from .wide_loads import load_view, load_word
@@ -203,6 +203,7 @@ def accumulate_diffuse(
     frames: float,
     # Out:
     history_out: DiffuseHistory,
+    irradiance_out: wp.array[wp.uint64],
 ):
     """Average diffuse indirect light over frames (method 7.5); banded over pixels.
 
@@ -211,9 +212,10 @@ def accumulate_diffuse(
         irradiance: pack_halves of this frame's irradiance / pi, exposed; w = confidence, 0..1.
         history: Of the frame before.
         frames: Cap of the mean's length in motion.
+        irradiance_out: pack_halves of the mean, for diffuse_blur.py; w = 1 where light is known, else 0.
 
-    53 bytes a pixel: 37 read (depth 4, reprojection 9, light 8, history 16 from one pixel, or while the
-    camera moves the means and depths of 12, cached), 16 written.
+    61 bytes a pixel: 37 read (depth 4, reprojection 9, light 8, history 16 from one pixel, or while the
+    camera moves the means and depths of 12, cached), 24 written.
     """
     pixel = first + wp.tid()
     view = load_view(views)
@@ -237,3 +239,4 @@ def accumulate_diffuse(
             m = add_irradiance(m, light, confidence, view.rest, cap)
     history_out.irradiance[pixel] = pack_mean(m.irradiance)
     history_out.state[pixel] = pack_halves(wp.vec4(m.length, m.fast, m.deviation, m.change))
+    irradiance_out[pixel] = pack_halves(rgba(m.irradiance, wp.where(m.length >= 0.0, 1.0, 0.0)))

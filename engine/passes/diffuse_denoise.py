@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The denoiser of diffuse indirect light: a mean over frames, blurred where it is short (GI-1.0; method 7.5, 7.6).
 
-Owns the means of this frame and the last. 101 bytes a pixel where nothing is blurred.
+Owns the means of this frame and the last. 81 bytes a pixel where nothing is blurred.
 """
 
 from __future__ import annotations
@@ -69,20 +69,21 @@ class DiffuseDenoisePass:
             irradiance: vec4h [h * w]: irradiance / pi, exposed; w = confidence.
 
         Returns:
-            Like `irradiance`, w = 1 where light is known; the same array in every frame, of either parity.
+            Like `irradiance`, w is above 0 where light is known; the same array in every frame, of either parity.
         """
         count, size = self.width * self.height, [self.width, self.height]
+        filtered = self._irradiance.view(wp.uint64)
         history, radius = self.history.current(parity), self.settings.diffuse_radius
         graph.launch(
             diffuse_temporal.accumulate_diffuse, count,
             [views, gbuffer, previous_gbuffer, reprojection, *size, irradiance.view(wp.uint64),
              self.history.previous(parity), float(self.settings.diffuse_history)],
-            [history])
+            [history, filtered])
         graph.launch(
-            diffuse_blur.blur_diffuse_x, count, [views, gbuffer, *size, radius, history], [self._rows])
+            diffuse_blur.blur_diffuse_x, count, [views, gbuffer, *size, radius, history], [self._rows, filtered])
         graph.launch(
             diffuse_blur.blur_diffuse_y, count, [views, gbuffer, *size, radius, self._rows],
-            [history, self._irradiance.view(wp.uint64)])
+            [history, filtered])
         return self._irradiance
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
