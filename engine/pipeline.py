@@ -196,7 +196,7 @@ class Pipeline:
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
 
     def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
-        """Return the passes of reflection and refraction that the scene needs."""
+        """Return the passes of reflection and of light from behind that the scene needs."""
         reflectors = scene.material_table.reflectors
         needed = []
         if reflectors.sharpest < self._settings.reflections.roughness_diffuse:
@@ -205,11 +205,13 @@ class Pipeline:
         else:
             self._leave_out(
                 graph, "reflections", "nothing reflects sharply", self.reflections, self.reflection_denoise)
-        if reflectors.refracts:
+        if reflectors.refracts or reflectors.scatters:
             needed.append(self.refraction)
             self._prepare(self.refraction, self.refraction_denoise)
         else:
-            self._leave_out(graph, "refraction", "nothing refracts", self.refraction, self.refraction_denoise)
+            self._leave_out(
+                graph, "refraction", "nothing lets light through bent or scattered", self.refraction,
+                self.refraction_denoise)
         return needed
 
     def _gathering(self, graph: FrameGraph, resting: bool) -> list[ReflectionPass]:
@@ -246,7 +248,8 @@ class Pipeline:
                 traced.options, traced.samples, jitter=self._settings.reflections.jitter)
 
     def _record_direct(
-        self, graph: FrameGraph, parity: int, scene: DeviceScene, views: wp.array, surfaces: GBuffer,
+        self, graph: FrameGraph, parity: int, phase: LightPhase, scene: DeviceScene, views: wp.array,
+        surfaces: GBuffer,
     ) -> DirectLight:
         """Record direct light and its filter."""
         graph.join(REPROJECTION)
@@ -256,7 +259,10 @@ class Pipeline:
             filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
             lean_layers=scene.material_table.lean.transparency)
         with graph.section("Direct denoising"):
-            return self.direct_denoise.record(graph, parity, views, surfaces, before, reprojection, direct)
+            # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
+            return self.direct_denoise.record(
+                graph, parity, views, surfaces, before, reprojection, direct,
+                noisy=phase is LightPhase.SWEEPING and scene.local_power > 0.0)
 
     def _note_absent(self, graph: FrameGraph, scene: DeviceScene, what: RayScene) -> None:
         """Tell which kernels a frame does without, for the timing panel."""
@@ -311,9 +317,10 @@ class Pipeline:
         color = self.composite.color.previous(parity)
         traced = self._reflecting(graph, scene)
         gathering = self._gathering(graph, resting)
+        reflectors = scene.material_table.reflectors
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
-            scene.material_table.reflectors.refracts or scene.material_table.reflectors.sharpest < MIRROR_ROUGHNESS,
+            reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
             self.cache.deterministic, self.cache.is_settled(phase))
         self._note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()
@@ -323,7 +330,7 @@ class Pipeline:
                     graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
         with graph.branch(DIRECT):
-            direct = self._record_direct(graph, parity, scene, views, surfaces) if lit else self._black
+            direct = self._record_direct(graph, parity, phase, scene, views, surfaces) if lit else self._black
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, gbuffer=surfaces, started=True, after=branches,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which materials of a scene reflect sharply or refract, so that a frame records no rays that nothing needs."""
+"""What materials of a scene reflect sharply or let through, so that a frame records no rays that nothing needs."""
 
 from __future__ import annotations
 
@@ -22,17 +22,28 @@ class Reflectors:
     sharpest: float = math.inf
     """Least roughness of any reflection; endless where nothing reflects"""
     refracts: bool = False
+    """Whether any is glass"""
+    scatters: bool = False
+    """Whether any scatters light from behind"""
 
 
 def find_reflectors(programs: Iterable[Program]) -> Reflectors:
     """Return what the materials with these programs do; what varies may be anything."""
-    sharpest, refracts = math.inf, False
+    sharpest, refracts, scatters = math.inf, False, False
     for program in programs:
         for kind, arguments in closures(program):
             sharpest = min([sharpest, *roughnesses(kind, arguments)])
             refracts |= kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION) or (
                 kind == kernel_types.CLOSURE_PRINCIPLED and arguments[codes.ARG_TRANSMISSION] != 0.0)
-    return Reflectors(sharpest, refracts)
+            scatters |= is_translucent(kind, arguments)
+    return Reflectors(sharpest, refracts, scatters)
+
+
+def is_translucent(kind: int, arguments: list[float | None]) -> bool:
+    """Return whether a closure scatters light from behind, or may where it varies."""
+    if kind == kernel_types.CLOSURE_PRINCIPLED:
+        return arguments[codes.ARG_THIN_WALL] != 0.0 and arguments[codes.ARG_SUBSURFACE] != 0.0
+    return kind == kernel_types.CLOSURE_TRANSLUCENT
 
 
 def roughnesses(kind: int, arguments: list[float | None]) -> Iterator[float]:

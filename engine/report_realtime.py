@@ -30,13 +30,11 @@ class SceneFacts:
     """Reflections stretched along a tangent"""
     refractive: int = 0
     """Refraction (glass, transmission)"""
-    translucent: int = 0
-    """Light from behind, scattered"""
 
 
 def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
     """Return the facts about all materials in a scene."""
-    counts = {"anisotropic": 0, "refractive": 0, "translucent": 0}
+    counts = {"anisotropic": 0, "refractive": 0}
     reflective = []
     for material in materials:
         facts = list(material_facts(material.program))
@@ -79,9 +77,6 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "",
                    f"refracted light is followed over at most {settings.reflections.bounces} more surfaces{until}",
                    facts.refractive)
-    if facts.translucent:
-        report.add(ReportKind.APPROXIMATED, "",
-                   f"translucent materials take indirect light from their front alone{until}", facts.translucent)
     if aperture_radius > 0.0:
         report.add(ReportKind.APPROXIMATED, "", f"depth of field is not drawn{until}")
     return report
@@ -102,8 +97,6 @@ def material_facts(program: Program) -> Iterator[str | float]:
     """Yield the facts about one material: names of SceneFacts' counts, perhaps repeatedly, and lobes' roughness."""
     for kind, arguments in closures(program):
         roughness, stretched = arguments[codes.ARG_ROUGHNESS], arguments[codes.ARG_ANISOTROPIC]
-        if kind == kernel_types.CLOSURE_TRANSLUCENT:
-            yield "translucent"
         if kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION):
             yield "refractive"
         if kind in (kernel_types.CLOSURE_GLOSSY, kernel_types.CLOSURE_GLASS):
@@ -122,7 +115,7 @@ def principled_facts(arguments: list[float | None]) -> Iterator[str | float]:
     def roughness(slot: int) -> float:
         return 1.0 if arguments[slot] is None else arguments[slot]
 
-    transmits, thin = above_zero(codes.ARG_TRANSMISSION), above_zero(codes.ARG_THIN_WALL)
+    transmits = above_zero(codes.ARG_TRANSMISSION)
     ior = may_be(arguments[codes.ARG_IOR], lambda value: value != 1.0)
     if above_zero(codes.ARG_METALLIC) or (above_zero(codes.ARG_SPECULAR_LEVEL) and ior):
         yield roughness(codes.ARG_ROUGHNESS)
@@ -132,8 +125,6 @@ def principled_facts(arguments: list[float | None]) -> Iterator[str | float]:
         yield roughness(codes.ARG_COAT_ROUGHNESS)
     if transmits:
         yield "refractive"
-    if thin and above_zero(codes.ARG_SUBSURFACE):
-        yield "translucent"
 
 
 def may_be(value: float | None, test: Callable[[float], bool]) -> bool:

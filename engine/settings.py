@@ -303,8 +303,8 @@ class DenoiserSettings:
     """Filters of direct, diffuse and reflected light, and anti-aliasing."""
 
     direct_iterations: int = setting(
-        3, "Passes of the edge-stopping filter on direct light (0: none): each doubles its reach, for less noise, "
-        "blurred shadows and some time", low=0, high=6)
+        3, "Passes of the edge-stopping filter on direct light while it is new and from wide lamps, one after that "
+        "(0: none): each doubles its reach, for less noise, blurred shadows and some time", low=0, high=6)
     direct_history: int = setting(
         32, "Most frames averaged in direct light while something moves: more has less noise and shadows that lag "
         "more, at no cost", low=1, high=1024, unit="frames")

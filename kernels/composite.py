@@ -36,7 +36,7 @@ class Lights:
     reflection: wp.array[wp.uint64]
     """pack_mean of what reflections show of indirect light: times GBuffer.specular it leaves the surface"""
     transmission: wp.array[wp.uint64]
-    """The same of light that arrives through glass, times GBuffer.transmitted"""
+    """The same of light that comes through the surface, times GBuffer.transmitted and .translucent"""
     has_reflection: int
     """0: `reflection` is not there, and the irradiance stands in for it"""
     has_transmission: int
@@ -137,9 +137,9 @@ def reflected_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pix
 
 @wp.func
 def transmitted_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pixel: int) -> wp.vec3:
-    """Return the light that arrives through glass, without the surface's colour; the irradiance stands in for it."""
+    """Return the light that comes through a surface, without its colour; the irradiance stands in for it."""
     if lights.has_transmission == 1:
-        if max_component(m.transmitted) > REFLECTANCE_MIN:
+        if max_component(m.transmitted + m.translucent) > REFLECTANCE_MIN:
             return unpack_mean(lights.transmission[pixel])
     return irradiance
 
@@ -171,12 +171,14 @@ def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
         s.diffuse_albedo = m.diffuse + m.translucent
         s.specular_albedo = m.specular
         s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(load_vec4h(lights.direct_diffuse, pixel)))
-        s.diffuse_indirect = wp.cw_mul(s.diffuse_albedo, indirect)
+        s.diffuse_indirect = wp.cw_mul(m.diffuse, indirect)
         s.specular_direct = wp.cw_mul(m.specular, light_or_none(load_vec4h(lights.direct_specular, pixel)))
         s.specular_indirect = wp.cw_mul(m.specular, reflected_light(lights, m, indirect, pixel))
-        if max_component(m.transmitted) > 0.0:
+        if max_component(m.transmitted + m.translucent) > 0.0:
+            through = transmitted_light(lights, m, indirect, pixel)
+            s.diffuse_indirect += wp.cw_mul(m.translucent, through)
             s.transmitted_albedo = m.transmitted
-            s.transmitted = wp.cw_mul(m.transmitted, transmitted_light(lights, m, indirect, pixel))
+            s.transmitted = wp.cw_mul(m.transmitted, through)
     return s
 
 

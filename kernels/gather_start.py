@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernel that draws the first directions of final gather rays: evenly by the cosine, on both sides of a leaf.
+"""The kernel that draws the first directions of final gather rays: evenly by the cosine.
 
 Final gather (Ward et al. 1988; Jensen 1996): a ray of its own for each pixel finds contacts and corners, which screen
 probes are too far apart for; where it ends the radiance cache answers.
@@ -10,21 +10,20 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices
-from .gbuffer import GBuffer, barycentrics_of, load_material, load_surface, view_direction
-from .geometry_math import INV_PI, max_component, mean_component, over_albedo, to_frame
+from .gbuffer import GBuffer, barycentrics_of, load_surface, view_direction
+from .geometry_math import INV_PI, to_frame
 from .intersect import surface_point
 from .normals import bump_shadowing
 from .paths import Paths, make_hit
 from .reflection_rays import (
     DIMENSION_DIRECTION,
-    DIMENSION_LOBE,
     ReflectionRays,
     find_start,
     send_ray,
     start_ray,
 )
 from .reflection_types import ReflectionOptions, ReflectionSamples
-from .sampling import sample_cosine, sample_number, sample_pair
+from .sampling import sample_cosine, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_DIFFUSE, Scene
 from .view import View, pixel_footprint
@@ -49,7 +48,7 @@ def start_gathering(
     paths_out: Paths,
     vertices_out: Vertices,
 ):
-    """Draw a direction for each ray, before or behind the surface by the shares of what it reflects and lets through.
+    """Draw a direction for each ray.
 
     One that lies on the wrong side of the triangle is absorbed, as in the path tracer: a black sample.
     """
@@ -59,30 +58,19 @@ def start_gathering(
     if start.block < 0:
         return
     pixel = start.pixel
-    m = load_material(gbuffer, pixel)
     surface = load_surface(view, gbuffer, options.width, pixel)
     point = surface_point(
         scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -view_direction(view, surface))
-    total = m.diffuse + m.translucent
-    share = mean_component(m.diffuse) / wp.max(mean_component(total), 1.0e-20)
-    side = float(1.0)
-    lobe = m.diffuse
-    if sample_number(start.seed, start.index, DIMENSION_LOBE) >= share:
-        side = float(-1.0)
-        lobe = m.translucent
-        share = 1.0 - share
     local = sample_cosine(sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
-    direction = wp.normalize(to_frame(surface.normal * side, local))
-    pdf = wp.max(local[2] * share * INV_PI, PDF_MIN)
-    weight = wp.vec3(0.0, 0.0, 0.0)
-    if wp.dot(direction, point.geometric_normal) * side > 0.0:
-        shadow = float(1.0)
-        if side > 0.0:
-            shadow = bump_shadowing(surface.normal, point.normal, direction, True, True)
-        weight = over_albedo(lobe * (shadow / wp.max(share, 1.0e-6)), total)
+    direction = wp.normalize(to_frame(surface.normal, local))
+    pdf = wp.max(local[2] * INV_PI, PDF_MIN)
+    shadow = float(0.0)
+    if wp.dot(direction, point.geometric_normal) > 0.0:
+        shadow = bump_shadowing(surface.normal, point.normal, direction, True, True)
+    weight = wp.vec3(shadow, shadow, shadow)
     footprint = pixel_footprint(view.camera, surface.depth) * FOOTPRINT_SCALE
     start_ray(
         samples_out, rays_out, paths_out, vertices_out, slot, start, direction, weight, pdf,
         wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE))
-    if max_component(weight) > 0.0:
+    if shadow > 0.0:
         send_ray(paths_out, slot, point, direction, VISIBLE_DIFFUSE, 1)

@@ -11,12 +11,14 @@ from .geometry_math import is_finite3, max_component, mean_component
 from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
 from .packing import rgb, rgba
 from .reflection_types import (
+    LOBE_TRANSMISSION,
     REFLECTANCE_MIN,
     SAMPLE_FAR,
     ReflectionOptions,
     ReflectionSamples,
     is_sampled,
     sample_pixel,
+    translucent_share,
 )
 from .view import SKY_DEPTH, View
 
@@ -135,8 +137,10 @@ def block_pixel(options: ReflectionOptions, lobe: wp.uint32, block: int) -> int:
 
 
 @wp.func
-def filter_roughness(m: SurfaceMaterial) -> float:
+def filter_roughness(options: ReflectionOptions, m: SurfaceMaterial) -> float:
     """Return the roughness that filters go by: near the coat's where a good part of the light is the coat's."""
+    if options.lobe == LOBE_TRANSMISSION:
+        return wp.lerp(m.roughness, 1.0, translucent_share(m))
     if m.coat <= REFLECTANCE_MIN or m.coat_roughness >= m.roughness:
         return m.roughness
     share = wp.min(4.0 * m.coat / wp.max(mean_component(m.specular), 1.0e-6), 1.0)
@@ -265,7 +269,7 @@ def gather_samples(
         if is_sampled(options, m):
             depth = gbuffer.depth[pixel]
             normal = gbuffer.normal[pixel]
-            roughness = wp.uint32(wp.clamp(filter_roughness(m), 0.0, 1.0) * 65535.0 + 0.5)
+            roughness = wp.uint32(wp.clamp(filter_roughness(options, m), 0.0, 1.0) * 65535.0 + 0.5)
             place = int(samples.place[block])
             lobe = roughness | (wp.uint32(place % options.stride) << wp.uint32(16))
             lobe = lobe | (wp.uint32(place // options.stride) << wp.uint32(24))

@@ -13,7 +13,7 @@ from .cache_materials import sane
 from .cache_rays import Vertices
 from .environment_split import EnvironmentSplit, excess_radiance, soft_radiance
 from .gbuffer import Surface, SurfaceMaterial
-from .geometry_math import max_component, mean_component
+from .geometry_math import INV_PI, max_component, mean_component, to_frame
 from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflectance import BsdfAlbedo, bsdf_albedo, fit_lobe
@@ -30,20 +30,22 @@ from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
     DIMENSIONS,
+    FOUND_DIRECT,
     FOUND_EMITTER,
     FOUND_HIT,
     FOUND_WHOLE_HIT,
     FOUND_WORLD,
     GATHERED,
+    REFRACTED,
     ReflectionRays,
     first_density,
     gather,
     send_ray,
 )
 from .reflection_types import SAMPLE_FAR
-from .sampling import sample_pair
+from .sampling import sample_cosine, sample_pair
 from .specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
-from .types import VISIBLE_GLOSSY, Bsdf, Scene, ShadingPoint
+from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Bsdf, Scene, ShadingPoint
 
 # Lobes sharper than this send rays on; rougher ones show their surroundings too blurred to tell.
 MIRROR_ROUGHNESS = wp.constant(0.3)
@@ -62,6 +64,8 @@ PART_MIN = wp.constant(0.03)
 BRANCH_END = wp.constant(0)
 BRANCH_MIRROR = wp.constant(1)
 BRANCH_GLASS = wp.constant(2)
+BRANCH_SCATTER = wp.constant(3)
+"""To either side of a translucent surface, for its indirect light"""
 
 
 @wp.struct
@@ -74,6 +78,8 @@ class Branch:
     """Of that"""
     whole: int
     """1: the ray ends, and all lobes are taken for rough ones"""
+    direct: int
+    """1: where it ends it shows direct light alone, as others go on for the rest"""
 
 
 @wp.func
@@ -131,14 +137,24 @@ def mirror_material(albedo: BsdfAlbedo) -> SurfaceMaterial:
 
 
 @wp.func
+def scatters(reflection: int, paths: Paths, slot: int) -> bool:
+    """Return whether a ray goes on behind translucent surfaces: those that come from one do, as through a folded blind.
+
+    The cache seldom knows the light between them, where no probe looks; where such a ray ends it shows direct light.
+    """
+    return reflection == REFRACTED and paths.kind[slot] == VISIBLE_DIFFUSE
+
+
+@wp.func
 def choose_branch(
-    albedo: BsdfAlbedo, mirrored: wp.vec3, last: int, paths: Paths, slot: int, surfaces: int,
+    albedo: BsdfAlbedo, mirrored: wp.vec3, reflection: int, last: int, paths: Paths, slot: int, surfaces: int,
 ) -> Branch:
-    """Choose between ending, a mirror and glass, by what each is worth.
+    """Choose between ending, a mirror, glass and, where a translucent surface has sent the ray, another one.
 
     Args:
         albedo: Of the hit.
         mirrored: Part of `albedo.specular` that sends rays on.
+        reflection: REFLECTED, REFRACTED or GATHERED.
         last: 1: rays end here.
         paths: Rays.
         slot: Which.
@@ -149,17 +165,23 @@ def choose_branch(
     glass = mean_component(wp.cw_mul(throughput, sane(albedo.transmitted)))
     rough = mean_component(wp.cw_mul(throughput, sane(
         albedo.diffuse + albedo.translucent + albedo.specular - mirrored)))
+    scatter = float(0.0)
+    if scatters(reflection, paths, slot):
+        if mean_component(wp.cw_mul(throughput, sane(albedo.translucent))) > PART_MIN:
+            scatter = rough
     branch = Branch()
+    branch.direct = wp.where(scatter > 0.0, 1, 0)
     branch.kind = BRANCH_END
     branch.chance = 1.0
     branch.whole = 1
-    total = mirror + glass + rough
+    total = mirror + glass + scatter + rough
     least = SHARE_MIN_FIRST
     if surfaces > 1:
         least = SHARE_MIN_FURTHER
     if paths.pdf[slot] < WIDE_DENSITY:
         least = SHARE_MIN_WIDE
-    if last == 1 or not mirror + glass > wp.max(least * total, PART_MIN):
+    if last == 1 or not (scatter > 0.0 or mirror + glass > wp.max(least * total, PART_MIN)):
+        branch.direct = 0
         return branch
     branch.whole = 0
     u = sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_LOBE + DIMENSIONS * surfaces)[1] * total
@@ -169,6 +191,9 @@ def choose_branch(
     elif u < mirror + glass:
         branch.kind = BRANCH_GLASS
         branch.chance = glass / total
+    elif u < mirror + glass + scatter:
+        branch.kind = BRANCH_SCATTER
+        branch.chance = scatter / total
     else:
         branch.chance = rough / total
     return branch
@@ -193,6 +218,8 @@ def end_ray(
     vertices.reflectance[slot] = wp.vec4(total[0], total[1], total[2], share)
     if max_component(total) > 0.0:
         rays.found[slot] = wp.where(branch.whole == 1, FOUND_WHOLE_HIT, FOUND_HIT)
+        if branch.direct == 1:
+            rays.found[slot] = FOUND_DIRECT
     p = point.position
     vertices.position[slot] = wp.vec4(p[0], p[1], p[2], point.error)
     vertices.geometric_normal[slot] = pack_normal(point.geometric_normal)
@@ -243,6 +270,32 @@ def mirror_ray(
 
 
 @wp.func
+def scattered_ray(
+    point: ShadingPoint, albedo: BsdfAlbedo, before: wp.vec3, normal: wp.vec3, chance: float, paths: Paths, slot: int,
+):
+    """Send a ray on to either side of a translucent surface, which reflects `before` of the light in front of it.
+
+    One that lies on the wrong side of the triangle is absorbed.
+    """
+    dimension = DIMENSIONS * paths.state[slot]
+    pick = sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_LOBE + dimension)
+    behind = sane(albedo.translucent)
+    share = mean_component(behind) / wp.max(mean_component(behind + before), 1.0e-20)
+    side = float(-1.0)
+    lobe = behind
+    if pick[0] >= share:
+        side = float(1.0)
+        lobe = before
+        share = 1.0 - share
+    local = sample_cosine(sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_DIRECTION + dimension))
+    direction = wp.normalize(to_frame(normal * side, local))
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    if wp.dot(direction, point.geometric_normal) * side > 0.0:
+        weight = lobe / wp.max(chance * share, 1.0e-6)
+    follow(point, direction, weight, local[2] * INV_PI, VISIBLE_DIFFUSE, paths, slot)
+
+
+@wp.func
 def meet_surface(
     scene: Scene, point: ShadingPoint, bsdf: Bsdf, reflection: int, last: int, rays: ReflectionRays, paths: Paths,
     vertices: Vertices, slot: int,
@@ -260,7 +313,7 @@ def meet_surface(
     cosine = wp.dot(bsdf.specular_normal, point.wo)
     add_emission(scene, point, bsdf.emission, reflection, rays, paths, vertices, slot)
     lobe = mirror_material(albedo)
-    branch = choose_branch(albedo, lobe.specular, last, paths, slot, surfaces)
+    branch = choose_branch(albedo, lobe.specular, reflection, last, paths, slot, surfaces)
     if branch.kind == BRANCH_MIRROR:
         mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
     elif branch.kind == BRANCH_GLASS:
@@ -274,6 +327,9 @@ def meet_surface(
         else:
             s = sample_transmission(bsdf, point.wo, place)
         follow(point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
+    elif branch.kind == BRANCH_SCATTER:
+        before = sane(albedo.diffuse + albedo.specular - lobe.specular)
+        scattered_ray(point, albedo, before, bsdf.normal, branch.chance, paths, slot)
     else:
         if inside:
             albedo = as_cached(bsdf, albedo, point.wo)

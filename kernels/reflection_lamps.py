@@ -23,12 +23,14 @@ def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, s
     """Add the lamps along a ray's segment."""
     if paths.state[slot] == ENDED:
         return
+    density = first_density(reflection, paths, slot)
+    if density < 0.0:
+        return
     t_max = paths.t[slot]
     if paths.hit[slot][0] == MISS:
         t_max = FAR
     light = lamps_along(
-        scene.lights, paths.kind[slot], first_density(reflection, paths, slot), paths.origin[slot],
-        paths.direction[slot], t_max)
+        scene.lights, paths.kind[slot], density, paths.origin[slot], paths.direction[slot], t_max)
     if max_component(light) > 0.0:
         gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), 0.0)
 

@@ -27,7 +27,7 @@ from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, place_pixel
 from .sampling import pixel_seed_of
-from .types import ShadingPoint
+from .types import VISIBLE_DIFFUSE, ShadingPoint
 from .view import View
 
 # Dimensions of reflections' random numbers; each further surface takes as many as there are here.
@@ -200,7 +200,7 @@ def gather(vertices: Vertices, slot: int, light: wp.vec3, length: float):
 
 # What kernels mean by `reflection`: who else shows the lights that a ray meets.
 REFRACTED = wp.constant(0)
-"""Nobody: rays that went through glass"""
+"""Nobody: rays that went through glass. Of those that a translucent lobe has scattered light samples show all"""
 REFLECTED = wp.constant(1)
 """Light samples, for rays that come straight from the pixel's surface, over no mirror; both share them"""
 GATHERED = wp.constant(2)
@@ -210,6 +210,6 @@ GATHERED = wp.constant(2)
 @wp.func
 def first_density(reflection: int, paths: Paths, slot: int) -> float:
     """Return the density that a ray shares light with (reflection_lights.py); 0: it counts in full, -1: not at all."""
-    if reflection == GATHERED:
+    if reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE:
         return -1.0
     return wp.where(reflection == REFLECTED and paths.state[slot] == 1, paths.pdf[slot], 0.0)

@@ -1,34 +1,90 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernel that draws the first directions through glass: from the real BSDF, which the G-buffer does not hold."""
+"""The kernel that draws the first directions of light from behind: through glass, or scattered by a translucent lobe.
+
+Through glass from the real BSDF, which the G-buffer does not hold; what a leaf or a curtain scatters comes from the
+half-space behind it, evenly by the cosine, and direct light has the lamps there (first_density).
+"""
 
 from __future__ import annotations
 
 import warp as wp
 
 from .cache_rays import Vertices
-from .gbuffer import GBuffer, barycentrics_of
+from .gather_start import PDF_MIN
+from .gbuffer import GBuffer, SurfaceMaterial, barycentrics_of, load_material
 from .gbuffer_rays import primary_ray
-from .geometry_math import is_finite3, max_component, over_albedo
+from .geometry_math import INV_PI, is_finite3, max_component, over_albedo, to_frame
 from .intersect import surface_point
 from .layering import prepare_bsdf
 from .nodes import run
+from .packing import unpack_normal
 from .paths import Paths, make_hit
 from .reflectance import bsdf_albedo
 from .reflection_glass import sample_transmission
 from .reflection_rays import (
     DIMENSION_DIRECTION,
+    DIMENSION_LOBE,
+    RayStart,
     ReflectionRays,
     find_start,
     send_ray,
     start_ray,
 )
-from .reflection_types import ReflectionOptions, ReflectionSamples
-from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, sample_pair
+from .reflection_types import ReflectionOptions, ReflectionSamples, translucent_share
+from .sampling import DIMENSION_FIRST_BOUNCE, sample_cosine, sample_number, sample_pair
+from .sampling import DIMENSION_LOBE as CLOSURE_LOBE
 from .tracing import FOOTPRINT_SCALE
-from .types import VISIBLE_CAMERA, VISIBLE_TRANSMISSION, Scene
+from .types import VISIBLE_CAMERA, VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.struct
+class FirstDirection:
+    """A direction from which light comes through a surface."""
+
+    wi: wp.vec3
+    weight: wp.vec3
+    """Value * cos / pdf / albedo, that of all that comes through"""
+    pdf: float
+    """Of its lobe [1/sr]; 0: none"""
+
+
+@wp.func
+def scattered_direction(
+    m: SurfaceMaterial, normal: wp.vec3, point: ShadingPoint, start: RayStart, share: float,
+) -> FirstDirection:
+    """Draw a direction behind a translucent surface, with this `share` of all that are drawn there.
+
+    One that lies on the wrong side of the triangle is absorbed, as in the path tracer.
+    """
+    s = FirstDirection()
+    local = sample_cosine(sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
+    s.wi = wp.normalize(to_frame(-normal, local))
+    s.pdf = wp.max(local[2] * INV_PI, PDF_MIN)
+    if wp.dot(s.wi, point.geometric_normal) < 0.0:
+        s.weight = over_albedo(m.translucent, m.translucent + m.transmitted) / share
+    return s
+
+
+@wp.func
+def refracted_direction(
+    scene: Scene, m: SurfaceMaterial, point: ShadingPoint, start: RayStart, pick: float, share: float,
+) -> FirstDirection:
+    """Draw a direction through glass, with this `share` of all that are drawn; `pick` chooses the closure."""
+    s = FirstDirection()
+    point.ray_visibility = VISIBLE_CAMERA
+    point.ray_depth = 0
+    program = scene.materials.materials[point.material].surface_start
+    bsdf = prepare_bsdf(scene.tables, run(scene, point, program, pick), point)
+    drawn = sample_transmission(bsdf, point.wo, sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
+    # Not that of the G-buffer, which knows of the transparent layers in front.
+    weight = over_albedo(drawn.weight, bsdf_albedo(scene.tables, bsdf, point.wo).transmitted)
+    s.wi = drawn.wi
+    s.pdf = drawn.pdf
+    s.weight = wp.cw_mul(weight, over_albedo(m.transmitted, m.translucent + m.transmitted)) / wp.max(share, 1.0e-6)
+    return s
 
 
 @wp.kernel
@@ -45,34 +101,36 @@ def start_refractions(
     paths_out: Paths,
     vertices_out: Vertices,
 ):
-    """Draw a direction through the glass for each ray."""
+    """Draw a direction for each ray, by the shares of what glass lets through and what is scattered."""
     slot = first + wp.tid()
     view = views[0]
     start = find_start(view, options, samples_out, rays_out, paths_out, vertices_out, slot)
     if start.block < 0:
         return
     pixel = start.pixel
+    m = load_material(gbuffer, pixel)
     ray = primary_ray(view, pixel % options.width, pixel // options.width)
     point = surface_point(
         scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), ray.direction)
     cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
     point.ray_length = wp.length(point.position - ray.origin)
     point.footprint = cone[0] + cone[1] * point.ray_length
-    point.ray_visibility = VISIBLE_CAMERA
-    point.ray_depth = 0
-    # The closure that the G-buffer has drawn in this frame.
-    choice = sample_pair(start.seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + DIMENSION_LOBE)
-    program = scene.materials.materials[point.material].surface_start
-    bsdf = prepare_bsdf(scene.tables, run(scene, point, program, choice[1]), point)
-    s = sample_transmission(bsdf, point.wo, sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
-    # Not that of the G-buffer, which knows of the transparent layers in front.
-    weight = over_albedo(s.weight, bsdf_albedo(scene.tables, bsdf, point.wo).transmitted)
-    if not (s.pdf > 0.0 and is_finite3(weight)):
-        weight = wp.vec3(0.0, 0.0, 0.0)
-        s.wi = ray.direction
-        s.pdf = 1.0
+    share = translucent_share(m)
+    kind = int(VISIBLE_DIFFUSE)
+    light = FirstDirection()
+    if sample_number(start.seed, start.index, DIMENSION_LOBE) < share:
+        light = scattered_direction(m, unpack_normal(gbuffer.normal[pixel]), point, start, share)
+    else:
+        kind = int(VISIBLE_TRANSMISSION)
+        # The closure that the G-buffer has drawn in this frame.
+        choice = sample_pair(start.seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + CLOSURE_LOBE)
+        light = refracted_direction(scene, m, point, start, choice[1], 1.0 - share)
+    if not (light.pdf > 0.0 and is_finite3(light.weight)):
+        light.weight = wp.vec3(0.0, 0.0, 0.0)
+        light.wi = ray.direction
+        light.pdf = 1.0
     start_ray(
-        samples_out, rays_out, paths_out, vertices_out, slot, start, s.wi, weight, s.pdf,
+        samples_out, rays_out, paths_out, vertices_out, slot, start, light.wi, light.weight, light.pdf,
         wp.vec2(point.footprint, cone[1]))
-    if max_component(weight) > 0.0:
-        send_ray(paths_out, slot, point, s.wi, VISIBLE_TRANSMISSION, 1)
+    if max_component(light.weight) > 0.0:
+        send_ray(paths_out, slot, point, light.wi, kind, 1)

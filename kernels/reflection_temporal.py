@@ -197,7 +197,7 @@ def accumulate_reflections(
     material = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material):
         view = load_view(views)
-        roughness = filter_roughness(material)
+        roughness = filter_roughness(options, material)
         light = unpack_halves(lights.light[pixel])
         state = unpack_halves(lights.state[pixel])
         known = state[1] >= 0.0 and is_finite3(rgb(light))

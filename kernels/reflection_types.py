@@ -2,8 +2,8 @@
 """What the passes of glossy reflections share: options, one sample for each block of pixels, zones of roughness.
 
 Eto et al. 2023, section 2. A block is `stride` x `stride` pixels (half resolution: 2 x 2) and has one sample a frame,
-at one of its pixels that reflects. Specular transmission (glass) is sampled, filtered and averaged by the same kernels
-in images of its own.
+at one of its pixels that reflects. Transmission, specular (glass) and diffuse (translucent surfaces), is sampled,
+filtered and averaged by the same kernels in images of its own.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import SurfaceMaterial
-from .geometry_math import max_component
+from .geometry_math import max_component, mean_component
 
 LOBE_REFLECTION = wp.constant(0)
 LOBE_TRANSMISSION = wp.constant(1)
+"""Light from behind a surface: through glass, or scattered by a translucent lobe"""
 LOBE_DIFFUSE = wp.constant(2)
-"""Diffuse reflection and transmission, at rest alone (final gather)"""
+"""Diffuse reflection, at rest alone (final gather)"""
 
 # ReflectionSamples.place of blocks without a sample.
 NO_SAMPLE = wp.constant(wp.uint8(255))
@@ -64,8 +65,8 @@ class ReflectionSamples:
     missing the place stays and `pdf` is 0"""
     radiance: wp.array[wp.uint64]
     """pack_halves: incoming radiance * f cos / pdf / albedo, exposed (its mean times GBuffer.specular, or
-    .transmitted, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m], SAMPLE_FAR for the
-    world"""
+    .transmitted + .translucent, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m],
+    SAMPLE_FAR for the world"""
     direction: wp.array[wp.uint32]
     """pack_normal: unit direction in which the ray left the pixel's surface"""
     pdf: wp.array[float]
@@ -121,12 +122,19 @@ def sampled_share(options: ReflectionOptions, roughness: float) -> float:
 
 
 @wp.func
+def translucent_share(m: SurfaceMaterial) -> float:
+    """Return how much of the light that comes through a surface its translucent lobe scatters; glass lets the rest."""
+    scattered = mean_component(m.translucent)
+    return scattered / wp.max(scattered + mean_component(m.transmitted), 1.0e-20)
+
+
+@wp.func
 def is_sampled(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
     """Return whether a surface needs samples of this lobe."""
     if options.lobe == LOBE_TRANSMISSION:
-        return max_component(m.transmitted) > REFLECTANCE_MIN
+        return max_component(m.transmitted + m.translucent) > REFLECTANCE_MIN
     if options.lobe == LOBE_DIFFUSE:
-        return max_component(m.diffuse + m.translucent) > REFLECTANCE_MIN
+        return max_component(m.diffuse) > REFLECTANCE_MIN
     sharpest = m.roughness
     if m.coat > REFLECTANCE_MIN:
         sharpest = wp.min(sharpest, m.coat_roughness)

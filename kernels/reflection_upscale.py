@@ -168,7 +168,7 @@ def upscale_pixel(
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, m):
         view = load_view(views)
         home = block_of(options, pixel)
-        centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(m))
+        centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(options, m))
         lobe = filter_lobe(view, gbuffer, options, part, history, centre, float(blocks.closeness[home]))
         stride = float(options.stride)
         sigma = wp.max(pass_sigma(options, part, lobe), SIGMA_MINIMUM * stride)

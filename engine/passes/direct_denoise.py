@@ -63,7 +63,7 @@ class DirectDenoisePass:
 
     def record(
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous_gbuffer: GBuffer,
-        reprojection: Reprojection, direct: DirectLight,
+        reprojection: Reprojection, direct: DirectLight, *, noisy: bool = True,
     ) -> DirectLight:
         """Record both filters; return the filtered light.
 
@@ -75,6 +75,8 @@ class DirectDenoisePass:
             previous_gbuffer: Of the frame before.
             reprojection: Of this frame.
             direct: Exposed, demodulated; w = 0 where this frame has no sample.
+            noisy: Whether the light is new and of lights with some extent. Else one pass does: means over frames have
+                little noise that is not the edge of a shadow.
 
         Returns:
             Like `direct`, w = 1 where light is known; the same arrays in every frame, of either parity.
@@ -87,7 +89,7 @@ class DirectDenoisePass:
             [views, gbuffer, previous_gbuffer, reprojection, *size, *_words(direct), self.history.previous(parity),
              float(self.settings.direct_history)],
             [history, *_words(source)])
-        passes = self.settings.direct_iterations
+        passes = self.settings.direct_iterations if noisy else min(self.settings.direct_iterations, 1)
         # Runs even where nothing is to be blurred: it also finds changes of the light.
         graph.launch(
             direct_atrous.filter_direct_first, count,

@@ -119,6 +119,8 @@ class RayScene:
     """Whether it runs all transparency programs"""
     mirrors: bool = True
     """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
+    scatters: bool = False
+    """Whether any is translucent: sends those on that come from another one"""
     deterministic: bool = False
     """Whether frames shall be the same in every run"""
     settled: bool = False
@@ -225,8 +227,8 @@ class ReflectionPass:
             graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
             graph.launch(
                 self._start, blocks, [views, scene, options, gbuffer], [self.samples, rays, paths, vertices])
-        follows = what.mirrors and self.lobe != int(LOBE_DIFFUSE)
-        segments = 1 + (self.settings.bounces if follows else 0)
+        follows = {int(LOBE_DIFFUSE): False, int(LOBE_TRANSMISSION): what.mirrors or what.scatters}
+        segments = 1 + (self.settings.bounces if follows.get(self.lobe, what.mirrors) else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
         waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
         for index in range(waves):

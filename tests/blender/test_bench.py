@@ -184,7 +184,7 @@ def test_clocks_are_never_mixed() -> None:
 def test_parts_of_times_are_tables() -> None:
     """Show what getting the scene there took, each picture's parts and each section of a frame with their sum."""
     facts = {"scene": {"times": {"extraction": 0.25, "upload": 0.5}}, "frame_times": {"Rays": 1.0, "Rest": 0.25},
-             "skipped": {"refraction": "nothing refracts"}}
+             "skipped": {"refraction": "nothing lets light through"}}
     scene = result(row("realtime", 1.0, 0.1, parts={"device frames": 0.75, "read-back": 0.25}),
                    row("cycles", 1.0, 0.1, parts={"sampling": 0.5}), engines={"realtime": facts})
     tables = {table[0].partition(" ")[0]: table for table in bench_report.parts_tables(scene)}
@@ -192,7 +192,7 @@ def test_parts_of_times_are_tables() -> None:
     assert tables["Parts"][2][0] == ["Burnish Realtime 1 s warm", "0.75", "0.25", ""]
     assert tables["Milliseconds"][1:] == (["render", "sum", "Rays", "Rest"],
                                           [["Burnish Realtime, at rest", "1.250", "1", "0.25"]])
-    assert tables["Sections"][2] == [["refraction", "nothing refracts"]]
+    assert tables["Sections"][2] == [["refraction", "nothing lets light through"]]
 
 
 def test_noise_table_shows_the_fall() -> None:

@@ -147,6 +147,13 @@ class Setup:
         return mirrored
 
     @property
+    def scattered(self) -> np.ndarray:
+        """Return the translucent albedo, 0 in the sky."""
+        scattered = np.where(self.half[:, None], unpack(self.translucent), 0.0)
+        scattered[SKY] = 0.0
+        return scattered
+
+    @property
     def glassy(self) -> np.ndarray:
         """Return the albedo of specular transmission, 0 in the sky."""
         passed = np.where(self.glass[:, None], unpack(self.transmitted), 0.0)
@@ -165,15 +172,16 @@ class Setup:
 
     @property
     def passed(self) -> np.ndarray:
-        """Return the light that arrives through glass, without the surfaces' colours."""
+        """Return the light that comes through the surfaces, without their colours."""
         return self.images[1] if self.has[1] else self.indirect
 
     @property
     def expected(self) -> np.ndarray:
         """Return the right colours [n, 3]."""
         diffuse, specular = (light[:, :3].astype(float) for light in self.lights[:2])
-        return (self.emission[:, :3] + self.albedo * (diffuse + self.indirect)
-                + self.mirrored * (specular + self.reflected) + self.glassy * self.passed)
+        reflecting = self.albedo - self.scattered
+        return (self.emission[:, :3] + self.albedo * diffuse + reflecting * self.indirect
+                + self.mirrored * (specular + self.reflected) + (self.glassy + self.scattered) * self.passed)
 
 
 def test_light_times_colour_adds_up(device):
@@ -273,7 +281,8 @@ def test_light_passes_make_up_the_picture(device, samples):
         parts[lobe] = (direct + indirect) * color
         assert direct.any() == (lobe != "Transmission")
     np.testing.assert_allclose(sum(parts.values()) + setup.emission[:, :3], total, rtol=2e-3, atol=1e-6)
-    diffuse = 2.0 * setup.albedo * (setup.lights[0][:, :3].astype(float) + setup.indirect)
+    reflected, passed = (setup.albedo - setup.scattered) * setup.indirect, setup.scattered * setup.passed
+    diffuse = 2.0 * (setup.albedo * setup.lights[0][:, :3].astype(float) + reflected + passed)
     np.testing.assert_allclose(parts["Diffuse"], diffuse, rtol=2e-3, atol=1e-6)
     np.testing.assert_allclose(parts["Transmission"], 2.0 * setup.glassy * setup.passed, rtol=2e-3, atol=1e-6)
 

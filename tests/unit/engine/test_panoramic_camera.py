@@ -145,7 +145,7 @@ def test_regions_are_parts_of_the_picture():
 
 def test_report_names_it_once():
     """Say that panoramas are path-traced, and nothing of what frames approximate."""
-    facts = SceneFacts(reflective=(0.9,), translucent=1)
+    facts = SceneFacts(reflective=(0.9,))
     entry, = realtime_approximations(REALTIME, facts, 0.1, panoramic=True).entries()
     assert (entry.kind, entry.owner, entry.message) == (ReportKind.INFO, "", "panoramic cameras are path-traced")
     shown = replace(REALTIME, debug=DebugSettings(view="gbuffer.normal"))

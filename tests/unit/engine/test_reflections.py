@@ -22,6 +22,7 @@ from burnish.engine.settings import (
     ReflectionSettings,
     SamplingSettings,
 )
+from burnish.kernels.gbuffer import SURFACE_TRANSLUCENT, SURFACE_TRANSMITS
 from burnish.kernels.long_mean import pack_mean
 from burnish.kernels.packed_halves import unpack_halves
 from burnish.kernels.packing import rgb
@@ -136,9 +137,9 @@ def test_coat_shows_both_lobes():
     np.testing.assert_allclose(Samples(floor_scene(material), aslant()).mean(96).mean(), 1.0, atol=0.04)
 
 
-def picture_ratio(delta, camera, frames=64, truth_samples=1024, **settings):
-    """Return where something reflects or refracts, the mean picture before anti-aliasing, and the path tracer's."""
-    truth = scenes.render(delta, camera, SIZE, truth_samples)[..., :3]
+def picture_ratio(delta, camera, frames=64, truth_samples=1024, max_bounces=0, **settings):
+    """Return where something reflects or transmits, the mean picture before anti-aliasing, and the path tracer's."""
+    truth = scenes.render(delta, camera, SIZE, truth_samples, max_bounces=max_bounces)[..., :3]
     samples, total = Samples(delta, camera, **settings), 0.0
     for index in range(WARM_UP + frames):
         samples.frame()
@@ -146,8 +147,9 @@ def picture_ratio(delta, camera, frames=64, truth_samples=1024, **settings):
         if index >= WARM_UP:
             total = total + color.numpy().astype(np.float64).reshape(SIZE[1], SIZE[0], 4)[..., :3] / frames
     mask = samples.albedo("specular").mean(-1) > 0.5
-    if ((samples.surface("material") >> 29) & 1).any():
-        mask = ((samples.surface("material") >> 29) & 1) == 1
+    for flag in (SURFACE_TRANSMITS, SURFACE_TRANSLUCENT):
+        if (samples.surface("material") & int(flag)).any():
+            mask = (samples.surface("material") & int(flag)) != 0
     return mask, total, truth
 
 
@@ -203,6 +205,31 @@ def test_pictures_are_the_path_tracers(room, eye, target, tolerance):
     assert mask.sum() > 60
     np.testing.assert_allclose(picture[mask].mean(0), truth[mask].mean(0), rtol=tolerance)
     assert np.abs(picture - truth)[mask].mean() / truth[mask].mean() < 0.12
+
+
+def blind_room(layers, behind):
+    """Make a blind, some layers with gaps between, before a wall that the sun lights; what else shines is `behind`."""
+    upright = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
+    blinds = [(f"blind {index}", upright @ scenes.place(z=0.02 * index), "blind") for index in range(layers)]
+    meshes = {name: scenes.quad(1.5) for name, _, _ in blinds} | {
+        "wall": slab((-3, 1, -3), (3, 1.1, 5)), "panel": slab((-0.9, 0.8, -0.4), (-0.3, 0.81, 0.2))}
+    materials = {"blind": scenes.material("TRANSLUCENT", color=(0.8, 0.6, 0.4)), "wall": MATERIALS["red"],
+                 "panel": panel((0.5, 0.8, 1.0), 3.0 * behind)}
+    lamp = scenes.lamp("POINT", 30.0 * behind, scenes.place(0.5, 0.6, 0.3), radius=0.05)
+    placed = [*blinds, *((name, np.eye(4), name) for name in ("wall", "panel"))]
+    return scenes.delta(meshes, placed, materials, [sun(3.0, (0.0, 1.0, -1.0)), lamp], background=0.05)
+
+
+@pytest.mark.parametrize(("layers", "behind"), [(1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)])
+def test_translucent_surfaces_are_lit_from_behind(layers, behind):
+    """Show through a blind the light that arrives behind it, bounced and direct, once each.
+
+    As far as the wall, whose own indirect light no probe has ever asked for.
+    """
+    view = look_at((-0.3, -1.8, 0.4), (0.0, 0.0, 0.1), SIZE, 0.6)
+    mask, picture, truth = picture_ratio(blind_room(layers, behind), view, max_bounces=1 + layers)
+    assert mask.sum() > 200
+    np.testing.assert_allclose(picture[mask].mean(0), truth[mask].mean(0), rtol=0.04, atol=0.0015)
 
 
 @pytest.mark.parametrize("material", [
@@ -283,7 +310,8 @@ def test_scenes_without_reflections_record_none():
     """Know from the materials' programs what reflects sharply and what refracts."""
     found = find_reflectors([scenes.material(color=0.5).program, metal(0.7).program])
     assert found.sharpest == pytest.approx(0.7) and not found.refracts
-    assert find_reflectors([glass(0.1).program]).refracts
+    assert find_reflectors([glass(0.1).program]).refracts and not found.scatters
+    assert find_reflectors([scenes.material("TRANSLUCENT").program]).scatters
     assert find_reflectors([scenes.material(color=0.5).program]).sharpest > 1.0
     samples = Samples(floor_scene(scenes.material(color=0.5)), aslant()).frame()
     assert {"reflections", "refraction"} <= set(samples.pipeline.skipped)

@@ -19,7 +19,7 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 
-EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, translucent=1)
+EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2)
 
 
 def material(kind: str, **arguments) -> MaterialData:
@@ -43,7 +43,7 @@ def realtime(samples: int = 1024, **changes) -> RenderSettings:
     ("GLOSSY", {"roughness": 0.25, "anisotropic": -0.5}, SceneFacts(reflective=(0.25,), anisotropic=1)),
     ("GLASS", {"roughness": 0.75, "ior": 1.5}, SceneFacts(reflective=(0.75,), refractive=1)),
     ("REFRACTION", {"roughness": 0.0, "ior": 1.5}, SceneFacts(refractive=1)),
-    ("TRANSLUCENT", {}, SceneFacts(translucent=1)),
+    ("TRANSLUCENT", {}, SceneFacts()),
     ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5, "specular_level": 0.5}, SceneFacts(reflective=(0.5,))),
     ("PRINCIPLED", {"roughness": 0.5, "ior": 1.0, "specular_level": 0.5}, SceneFacts()),
     ("PRINCIPLED", {"roughness": 0.5, "ior": 1.5}, SceneFacts()),
@@ -54,7 +54,7 @@ def realtime(samples: int = 1024, **changes) -> RenderSettings:
      SceneFacts(reflective=(0.5,))),
     ("PRINCIPLED", {"roughness": 0.75, "transmission": 0.1}, SceneFacts(refractive=1)),
     ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0}, SceneFacts()),
-    ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts(translucent=1)),
+    ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts()),
 ])
 def test_facts_follow_the_closures(kind: str, arguments: dict, expected: SceneFacts) -> None:
     """Find what a BSDF has, and count what varies as if it had it."""
@@ -75,11 +75,11 @@ def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 1, 2, 3, 4]
+    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4]
     text = " ".join(entry.message for entry in entries)
-    for word in ("reflections", "anisotropic", "refracted", "translucent", "depth of field"):
+    for word in ("reflections", "anisotropic", "refracted", "depth of field"):
         assert word in text, word
-    assert text.count("until the picture has rested for 12 frames") == 5
+    assert text.count("until the picture has rested for 12 frames") == 4
 
 
 @pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
@@ -112,4 +112,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 5 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 4 and all(words in entry.message for entry in entries), entries
