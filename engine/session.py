@@ -34,6 +34,7 @@ from .realtime import Realtime, settings_for
 from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
 from .settings import Change, Integrator, RenderSettings, change_since
+from .staging import PictureInbox
 from .warmup import warm_up
 
 __all__ = ["DENOISED", "PASSES", "Session", "SessionStats"]
@@ -92,6 +93,7 @@ class Session:
         self._scene = DeviceScene(self.device)
         self._pass = ReferencePass(self.device)
         self._film: FilmBuffers | None = None
+        self._inbox = PictureInbox()
         self._frame: np.ndarray | None = None
         self._key: tuple = ()
         self._camera: CameraData | None = None
@@ -343,7 +345,7 @@ class Session:
     def _read_flat(self, name: str) -> np.ndarray:
         buffers = self._film.film
         if name == "Combined":
-            return self.resolve().numpy()
+            return self._inbox.read(self.resolve())
         if is_light_pass(name):
             return (self._realtime.light_pass if self._realtime else self._film.light.read)(name).numpy()
         if first_hit_channels(name):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A few numbers that the host writes for every frame: sent in order with the device's work, without waiting for it.
+"""Small things on their way to the device, pictures on their way back, through memory that the device can reach.
+
+Numbers that the host writes for every frame are sent in order with the device's work, without waiting for it.
 
 A copy from a NumPy array makes Warp convert its type anew, which takes longer than all else that the host does for a
 frame, and on CUDA it waits for all work before: the device would idle until the next frame is issued.
@@ -10,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-__all__ = ["StagedRow"]
+__all__ = ["PictureInbox", "StagedRow"]
 
 AHEAD = 2
 """Frames that may be on their way while the host writes the next one"""
@@ -47,3 +49,24 @@ class StagedRow:
             wp.copy(self.array, self._pages[place])
             self._sent[place] = wp.get_stream(self.array.device).record_event(sent)
             self._next = (place + 1) % len(self._pages)
+
+
+class PictureInbox:
+    """Where a device's pictures arrive on the host.
+
+    The driver copies into memory that may be paged through buffers of its own, and pages that are new cost as much
+    again: a picture of 1920 x 1080 took 29 ms.
+    """
+
+    def __init__(self) -> None:
+        self._page: wp.array | None = None
+
+    def read(self, picture: wp.array) -> np.ndarray:
+        """Return what an array holds, valid until the next call; waits for the device."""
+        if not picture.device.is_cuda:
+            return picture.numpy()
+        if self._page is None or (self._page.shape, self._page.dtype) != (picture.shape, picture.dtype):
+            self._page = wp.empty(picture.shape, dtype=picture.dtype, device="cpu", pinned=True)
+        wp.copy(self._page, picture)
+        wp.synchronize_stream(wp.get_stream(picture.device))
+        return self._page.numpy()

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Test the row that the host sends for every frame."""
+"""Test the row that the host sends for every frame, and how pictures come back."""
 
 from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from burnish.engine.staging import AHEAD, StagedRow
+from burnish.engine.staging import AHEAD, PictureInbox, StagedRow
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,3 +37,14 @@ def test_launches_see_their_own_row(device):
     assert numbers.numpy().tolist() == list(range(1, count + 1))
     steps = np.arange(count)
     np.testing.assert_array_equal(places.numpy(), np.stack([steps, 2.0 * steps, np.full(count, -1.0)], 1))
+
+
+def test_pictures_arrive_whole(device):
+    """Read pictures of several sizes and types one after the other, each as it is at that time."""
+    inbox, rng = PictureInbox(), np.random.default_rng(3)
+    for count, dtype, width in ((7, wp.vec4, 4), (4096, wp.vec4, 4), (4096, wp.vec3, 3), (7, wp.vec4, 4)):
+        values = rng.random((count, width), dtype=np.float32)
+        picture = wp.array(values, dtype=dtype, device=device)
+        np.testing.assert_array_equal(inbox.read(picture), values)
+        picture.fill_(2.0)
+        assert (inbox.read(picture) == 2.0).all()
