@@ -30,7 +30,7 @@ from .reflection_rays import (
     send_ray,
     start_ray,
 )
-from .reflection_types import ReflectionOptions, ReflectionSamples, translucent_share
+from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, translucent_share
 from .sampling import DIMENSION_FIRST_BOUNCE, sample_cosine, sample_number, sample_pair
 from .sampling import DIMENSION_LOBE as CLOSURE_LOBE
 from .tracing import FOOTPRINT_SCALE
@@ -132,5 +132,8 @@ def start_refractions(
     start_ray(
         samples_out, rays_out, paths_out, vertices_out, slot, start, light.wi, light.weight, light.pdf,
         wp.vec2(point.footprint, cone[1]))
+    if kind == VISIBLE_DIFFUSE:
+        # What lies behind is blurred whatever its distance: filters need not keep apart what is close.
+        vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
     if max_component(light.weight) > 0.0:
         send_ray(paths_out, slot, point, light.wi, kind, 1)
