@@ -158,6 +158,8 @@ def commit_updates(
     step = 1.0 / (updates.count[update] + 1.0)
     if updates.fresh[update] == 1:
         pool_out.born[slot] = now
+        # Nothing is known about the new place yet: who asks before the projection reads the map itself.
+        pool_out.clear[slot] = 0.0
         step = 1.0
     pool_out.position[slot] = position
     pool_out.center[slot] = wp.lerp(pool_out.center[slot], position, step)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
+from burnish.engine.history import arrays_of
 from burnish.engine.passes.screen_probes import ScreenProbePass
 from burnish.engine.scene import CameraData
 from burnish.engine.settings import ProbeSettings
@@ -332,6 +333,25 @@ def test_restart_forgets_everything():
     stats = b.probes.stats()
     assert stats["live"] == stats["updated"] == stats["spawned"]
     np.testing.assert_allclose(b.irradiance()[0].max(), 0.25, rtol=0.01)
+
+
+def test_slots_keep_nothing_of_probes_before():
+    """Give the same bits whatever the slots of new probes held before: on both sides of a thin wall."""
+    floor = scenes.quad(50.0)
+    wall = scenes.mesh([[0.05, -50, 0], [0.05, 50, 0], [0.05, 50, 1], [0.05, -50, 1]], [[0, 1, 2], [0, 2, 3]])
+    found = []
+    for before in (0, 50000):
+        b = ProbeBench({"floor": floor, "wall": wall}, [0.0, 1.0], camera(), (96, 96), sky=0.2, settings=SETTINGS)
+        for array in arrays_of(b.probes.pool):
+            if array is not b.probes.pool.used and array is not b.probes.pool.updates:
+                array.fill_(before)
+        neighbors = []
+        for _ in range(3):
+            b.frame()
+            neighbors.append(b.probes.updates.neighbor.numpy().copy())
+        found.append((np.stack(neighbors), b.result.numpy().view(np.uint16)))
+    for some, others in zip(*found, strict=True):
+        np.testing.assert_array_equal(some, others)
 
 
 def test_broken_rays_do_no_harm():
