@@ -21,7 +21,7 @@ import numpy as np
 from ..engine.device import choose_device
 from ..engine.errors import BurnishError
 from ..engine.image_error import ImageError, compare
-from ..engine.measure_moving import MovingCamera, there_and_back
+from ..engine.measure_moving import MovingCamera, settling_frames, there_and_back
 from ..engine.variants import DEFAULT, VARIANTS, variant_settings
 from . import registered
 from .bench_plots import new_figure
@@ -37,8 +37,6 @@ FLIGHT = 60
 """Frames of the flight whose steps are taken"""
 MIDDLE = 24
 """Frame of the flight at which errors are measured"""
-WARM_UP = 6
-"""Moving frames before any is timed"""
 TIMED = 16
 """Moving frames that are timed, in a row"""
 FIGURES = (("FLIP", "flip"), ("relMSE", "relative_mse"), ("dark", "dark_luminance"), ("p5", "block_p5"),
@@ -165,7 +163,7 @@ class SceneAblation:
                 session.step(1)
             errors["flight"] = self._pool.submit(compare, self.flight_truth, session.read("Combined")[..., :3])
         moving = MovingCamera(session, settings, self.timed_cameras, self.time_size)
-        for _ in range(WARM_UP):
+        for _ in range(settling_frames(session.device)):
             moving.frame()
         in_a_row = moving.in_a_row(TIMED)
         singles = [moving.frame()[1] for _ in range(TIMED)]

@@ -25,7 +25,7 @@ from .session import Session
 from .settings import RenderSettings
 
 __all__ = ["FrameTimes", "MovingCamera", "Pan", "fly", "fly_over", "measure_frames", "measure_pan", "pan",
-           "there_and_back"]
+           "settling_frames", "there_and_back"]
 
 FLIGHT_TURN = math.radians(24.0)
 """Whole turn of a flight [rad], half of it to each side"""
@@ -191,6 +191,14 @@ class MovingCamera:
         return medians(sections), medians(kernels)
 
 
+def settling_frames(device: str) -> int:
+    """Return the frames after which a moving frame costs what it does while one looks around.
+
+    Both parities are recorded and their kernels loaded; on a GPU as many as light takes to spread.
+    """
+    return WARM_UP + (SETTLED if wp.get_device(device).is_cuda else 0)
+
+
 def measure_frames(
     session: Session, settings: RenderSettings, cameras: Sequence[CameraData], size: tuple[int, int], *,
     frames: int = 40, seconds: float = math.inf,
@@ -206,8 +214,7 @@ def measure_frames(
         seconds: Time after which fewer must do; three frames are always timed.
     """
     session.timed = False
-    # On a GPU as many as light takes to spread: what a frame costs while one looks around.
-    warm_up = WARM_UP + (SETTLED if wp.get_device(session.device).is_cuda else 0)
+    warm_up = settling_frames(session.device)
     moving = MovingCamera(session, settings, cameras, size)
     end = time.perf_counter() + seconds
     for number in range(warm_up):

@@ -27,7 +27,7 @@ from .reflection_sources import (
     no_reflection,
 )
 from .reflection_types import ReflectionOptions, fading, is_sampled
-from .reprojection import Reprojection
+from .reprojection import Reprojection, has_moved
 from .view import SKY_DEPTH, View, settling_frames
 from .wide_loads import load_view
 
@@ -210,8 +210,9 @@ def accumulate_reflections(
         if known:
             confidence = wp.max(state[1], START_CONFIDENCE * wp.clamp(1.0 - m.length / START_FRAMES, 0.0, 1.0))
             moving = wp.clamp(1.0 - float(view.rest) / REST_FRAMES, 0.0, 1.0)
-            if not off_centre(reprojection.position[pixel]):
-                # Neither camera nor mirror moves: those take what is reflected along with its image.
+            if has_moved(reprojection, pixel) or not off_centre(reprojection.position[pixel]):
+                # A camera that moves takes what is reflected along with its image; past a mirror that turns near things
+                # and those behind them go at their own pace.
                 if view.rest == 0 or (view.rest <= RENEWED_FRAMES and m.length > RENEWED_MINIMUM):
                     m = renewed(m, light, roughness)
             near = wp.clamp(1.0 - float(view.rest) / CLAMP_FRAMES, 0.0, 1.0)
