@@ -17,6 +17,7 @@ from ..kernels.direct_light import DirectLight
 from ..kernels.gbuffer import GBuffer
 from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
+from ..kernels.reflection_sources import DISTANCE_ROUGHNESS
 from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
 from .device import device_errors
 from .device_scene import DeviceScene
@@ -358,11 +359,14 @@ class Pipeline:
                 gathered = self.rest_gather.record(
                     graph, parity, views, surfaces, before, reprojection, each.options, each.samples, indirect)
         graph.join(DIRECT, *branches)
+        mirrors = None
+        if self.reflections in traced and reflectors.sharpest < DISTANCE_ROUGHNESS:
+            mirrors = self.reflection_denoise.mirrors(parity, surfaces)
         with graph.section("Composite"):
             picture = self.composite.record(
                 graph, parity, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
-                self.reflections.options if self.reflections in traced else None, gathered)
+                self.reflections.options if self.reflections in traced else None, gathered, mirrors)
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

@@ -13,7 +13,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from .long_mean import off_centre
 from .packed_halves import unpack_halves
+from .reflection_sources import DISTANCE_ROUGHNESS
+from .reflection_temporal import RENEWED_LENGTH
+from .reprojection import MOVED
 from .view import View, settled_length
 from .wide_loads import load_vec4, load_view
 from .wide_stores import store_vec4
@@ -56,6 +60,18 @@ class Accumulation:
     """Mean of exposed colour and alpha at the pixel's centre"""
     samples: wp.array[wp.uint16]
     """Frames that it counts as"""
+
+
+@wp.struct
+class Mirrors:
+    """What mirrors tell about the age of what they show."""
+
+    material: wp.array[wp.uint32]
+    """GBuffer.material"""
+    state: wp.array[wp.uint64]
+    """ReflectionHistory.state of this frame; not read without `known`"""
+    known: float
+    """Frames in the mean of a mirror whose image stays; 0: there are no mirrors"""
 
 
 @wp.struct
@@ -247,6 +263,24 @@ def history_limit(view: View) -> float:
     return limit
 
 
+@wp.func
+def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int) -> float:
+    """Return as how many frames the history may count by what a mirror shows: few where that is something new.
+
+    The mean of its reflection has been made anew there (reflection_temporal.renewed), which a camera that moves leaves
+    alone. Whatever moves in a mirror would be smeared: the surface's motion is not its image's.
+    """
+    if mirrors.known <= 0.0 or ((taps & MOVED) == wp.uint8(0) and off_centre(position)):
+        return MOTION_SAMPLES
+    if float(mirrors.material[pixel] & wp.uint32(65535)) > DISTANCE_ROUGHNESS * 65535.0:
+        return MOTION_SAMPLES
+    length = wp.abs(unpack_halves(mirrors.state[pixel])[0])
+    if length <= 0.0:
+        return MOTION_SAMPLES
+    known = wp.clamp((length - RENEWED_LENGTH) / wp.max(mirrors.known - RENEWED_LENGTH, 1.0e-3), 0.0, 1.0)
+    return MOTION_SAMPLES * known * known
+
+
 @wp.kernel(cuda_max_registers=64)
 def antialias(
     first: int,
@@ -256,6 +290,7 @@ def antialias(
     depth: wp.array[float],
     position: wp.array[wp.vec2],
     taps: wp.array[wp.uint8],
+    mirrors: Mirrors,
     previous: Accumulation,
     width: int,
     height: int,
@@ -290,7 +325,8 @@ def antialias(
                 mean = filter_frame(color, view.jitter, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
-                samples = wp.min(wp.min(float(previous.samples[old]), MOTION_SAMPLES), history_limit(view))
+                samples = wp.min(float(previous.samples[old]), history_limit(view))
+                samples = wp.min(samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel))
                 history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
                 around = 1.125 * n.mean[0] - 0.125 * luma(current)
                 w_new = firefly_weight(current, around)

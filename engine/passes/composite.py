@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels import antialias, composite, composite_debug
-from ...kernels.antialias import Accumulation
+from ...kernels.antialias import Accumulation, Mirrors
 from ...kernels.composite import LightPasses, Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_types import ReflectionOptions
@@ -96,7 +96,7 @@ class CompositePass:
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, reprojection: Any,
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
-        options: ReflectionOptions | None = None, indirect: wp.array | None = None,
+        options: ReflectionOptions | None = None, indirect: wp.array | None = None, mirrors: Mirrors | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -115,6 +115,7 @@ class CompositePass:
             options: Of the reflections: tell which surfaces have them; must come with `reflection`.
             indirect: uint64 (long_mean.pack_mean), diffuse indirect light that stands in for `irradiance`, with what
                 leaning normals take from it.
+            mirrors: What tells how long mirrors have shown what they show; None: there are none.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
@@ -140,8 +141,8 @@ class CompositePass:
         accumulated, before = self.accumulated.current(parity), self.accumulated.previous(parity)
         graph.launch(
             antialias.antialias, count,
-            [views, color.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps, before,
-             self.width, self.height, int(self.settings.antialiasing)],
+            [views, color.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps,
+             mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color
 

@@ -16,9 +16,11 @@ from ...kernels import (
     reflection_temporal,
     reflection_upscale,
 )
+from ...kernels.antialias import Mirrors
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_blocks import ReflectionBlocks, ReflectionHistory, ReflectionLight
 from ...kernels.reflection_lobe import FilterPass
+from ...kernels.reflection_temporal import MIRROR_SHARE, RENEWED_LENGTH
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions, ReflectionSamples
 from ...kernels.reprojection import Reprojection
 from ..frame_graph import FrameGraph
@@ -29,6 +31,9 @@ __all__ = ["ReflectionDenoisePass", "filter_passes"]
 
 GAUSSIAN_WIDTH = 1.065
 """Standard deviation of a pass by its step: fits the spline kernel of the paper's figure 6"""
+
+MIRROR_FRAMES = 1.9
+"""Frames in the mean of a mirror from which on it shows nothing new, at most"""
 
 DEBUG_VIEWS = {
     "reflections.filtered": "Reflections of this frame after their filter, before they are averaged over frames",
@@ -163,6 +168,15 @@ class ReflectionDenoisePass:
              float(self.settings.reflection_clamp)],
             [history])
         return history.light
+
+    def mirrors(self, parity: int, gbuffer: GBuffer) -> Mirrors:
+        """Return what a frame of this parity knows of how long mirrors have shown what they show; as of record()."""
+        mirrors = Mirrors()
+        length = min(self.settings.reflection_history * MIRROR_SHARE, MIRROR_FRAMES)
+        if self.settings.reflection_temporal and length > RENEWED_LENGTH:
+            mirrors.material, mirrors.state = gbuffer.material, self.history.current(parity).state
+            mirrors.known = length
+        return mirrors
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` of this frame into `picture` (vec4 [h * w]); comes after record()."""

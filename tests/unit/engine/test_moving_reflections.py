@@ -27,7 +27,7 @@ def settings(integrator, **denoiser):
         denoiser=DenoiserSettings(path_traced_rest=False, **denoiser))
 
 
-def last_frame(delta, steps, integrator=Integrator.REALTIME, count=1, **denoiser):
+def last_frame(delta, steps, integrator=Integrator.REALTIME, count=1, size=SIZE, **denoiser):
     """Return the picture after changes and cameras, one frame each; of Reference the last alone, of `count` samples."""
     chosen = settings(integrator, **denoiser)
     session = Session(chosen)
@@ -36,7 +36,7 @@ def last_frame(delta, steps, integrator=Integrator.REALTIME, count=1, **denoiser
     for change, camera in steps if integrator == Integrator.REALTIME else steps[-1:]:
         if change is not None:
             session.update(change)
-        session.configure(chosen, camera, *SIZE)
+        session.configure(chosen, camera, *size)
         session.step(WARM_UP if first and integrator == Integrator.REALTIME else count)
         first = False
     picture = session.read()[..., :3].astype(np.float64)
@@ -115,3 +115,19 @@ def test_mirrored_movers_are_seen_where_they_are():
                 for temporal in (True, False))
     kept, alone = (np.abs(picture - truth)[changed].mean() for picture in pictures)
     assert kept < 1.5 * alone
+
+
+def test_turning_mirrors_forget_what_stood_before_the_wall():
+    """Leave no trail of a near thing on the farther one behind, whose image a turning mirror moves faster."""
+    size = (112, 70)
+    made = glossy_scenes.moving_mirror(size)
+    steps = [(made.change(frame), made.camera) for frame in range(25)]
+    truth, picture = (np.minimum(found, 1.0) for found in (
+        last_frame(made.delta, steps, Integrator.REFERENCE, 96, size=size),
+        last_frame(made.delta, steps, antialiasing=False, size=size)))
+    # The green wall beside the ball's image.
+    green = truth[..., 1] > 1.2 * truth[..., 0]
+    green[:, size[0] * 2 // 3:] = False
+    assert green.sum() > 500
+    redder = (picture[..., 0] - picture[..., 1]) - (truth[..., 0] - truth[..., 1])
+    assert np.maximum(redder[green] - 0.2, 0.0).sum() < 1.5

@@ -48,7 +48,8 @@ class Frames:
 
     def add(self, color: np.ndarray, *, rest: int, motion: np.ndarray | tuple = (0.0, 0.0), light_age: int = 1 << 20,
             depth: np.ndarray | float = 1.0, taps: np.ndarray | int = ALL_TAPS, jitter: tuple = (0.0, 0.0),
-            restart: int = 0, enabled: int = 1) -> np.ndarray:
+            restart: int = 0, enabled: int = 1,
+            mirrors: antialias.Mirrors | None = None) -> np.ndarray:
         """Average one more frame [H, W, 4] and return the picture."""
         self.frame += 1
         row = np.zeros(1, View.numpy_dtype())
@@ -64,7 +65,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [old, W, H, enabled]
+        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
@@ -182,6 +183,28 @@ def test_nothing_trails_behind_a_mover(device):
     row = picture[H // 2, :, 0]
     np.testing.assert_allclose(row[:13], 0.1, rtol=0.01)
     np.testing.assert_allclose(row[18:25], 2.0, rtol=0.01)
+
+
+def test_mirrors_that_show_something_new_take_no_history(device):
+    """Forget what a mirror's pixel showed where the mean of its reflection began anew, unless the camera moves."""
+    mirrors = antialias.Mirrors()
+    roughness, length = np.zeros((H, W), np.uint32), np.full((H, W), 2.0, np.float16)
+    roughness[:, W // 2:] = 30000
+    length[: H // 2] = 0.5
+    state = np.zeros((H, W, 4), np.float16)
+    state[..., 0] = -length
+    mirrors.material = wp.array(roughness.ravel(), dtype=wp.uint32, device=device)
+    mirrors.state = wp.array(state.reshape(-1, 4), dtype=wp.vec4h, device=device).view(wp.uint64)
+    mirrors.known = 1.9
+    x, y = centers()
+    for motion, moved, new in ((0.0, 0, True), (0.3, 0, False), (0.3, 1 << 4, True)):
+        frames = Frames(device)
+        for _ in range(12):
+            frames.add(opaque(checker(x, y)), rest=0, mirrors=None)
+        frames.add(opaque(checker(x, y)), rest=0, motion=(motion, 0.0), taps=ALL_TAPS | moved, mirrors=mirrors)
+        samples = frames.samples
+        assert (samples[:, W // 2:] > 8).all() and (samples[H // 2:] > 8).all()
+        assert (samples[: H // 2, : W // 2] == 1).all() if new else (samples > 8).all()
 
 
 def test_disocclusion_takes_no_history(device):
