@@ -57,6 +57,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "cache.scan_all": False,
         "cache.level_blend": False,
         "cache.cone_test": False,
+        "direct_light.temporal_reuse": 1,
         "reflections.roughness_traced": 0.2,
         "reflections.roughness_diffuse": 0.6,
         "reflections.roughness_blend": 0.0,

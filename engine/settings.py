@@ -261,9 +261,9 @@ class DirectLightSettings:
         4, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
         "each for some time", low=1, high=64, soft_high=16)
     temporal_reuse: int = setting(
-        1, "Frames' worth of candidates taken over from the frame before, where a scene has more lights than "
-        "candidates (0: none): less noise in one frame for some time, but noise that moves in patches, which the "
-        "denoiser keeps", low=0, high=64)
+        0, "Frames' worth of candidates taken over from the frame before, where a scene has more lights than "
+        "candidates: less noise in one frame for some time, but noise that moves in patches, which the denoiser keeps. "
+        "0 is nearer to the truth", low=0, high=64)
     half_rate: bool = setting(
         True, "Trace every other pixel's shadow ray while something moves: half the shadow rays, softer shadows in "
         "motion")

@@ -37,7 +37,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "a bounce ray for every hit": {"cache.bounce_share": 1.0},
     "one light candidate": {"direct_light.candidates": 1},
     "16 light candidates": {"direct_light.candidates": 16},
-    "no reuse of lights": {"direct_light.temporal_reuse": 0},
+    "reuse of lights": {"direct_light.temporal_reuse": 1},
     "a shadow ray for every pixel": {"direct_light.half_rate": False},
     "reflections traced to 0.2": {"reflections.roughness_traced": 0.2},
     "no traced reflections": {"reflections.roughness_traced": 0.0, "reflections.roughness_blend": 0.0},
