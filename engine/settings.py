@@ -258,7 +258,7 @@ class DirectLightSettings:
     """Direct light at visible surfaces by resampled importance sampling (Bitterli et al. 2020)."""
 
     candidates: int = setting(
-        4, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
+        8, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
         "each for some time", low=1, high=64, soft_high=16)
     temporal_reuse: int = setting(
         0, "Frames' worth of candidates taken over from the frame before, where a scene has more lights than "

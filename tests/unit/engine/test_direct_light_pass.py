@@ -17,8 +17,8 @@ CAMERA = scenes.camera_above(height=1.0, half=0.5)
 GREY = {"grey": scenes.material(color=0.6)}
 GLOSSY = {"grey": scenes.material("GLOSSY", color=0.8, roughness=0.3)}
 SETTINGS = {
-    "plain": {"temporal_reuse": 0, "half_rate": False}, "reuse": {"temporal_reuse": 2, "half_rate": False},
-    "half rate": {"temporal_reuse": 0}, "both": {"temporal_reuse": 2},
+    "plain": {"half_rate": False, "candidates": 4}, "reuse": {"temporal_reuse": 2, "half_rate": False, "candidates": 4},
+    "half rate": {"temporal_reuse": 0}, "both": {"temporal_reuse": 2, "candidates": 4},
     "one candidate": {"temporal_reuse": 2, "candidates": 1},
 }
 
@@ -281,7 +281,7 @@ def test_candidates_and_reuse_follow_the_number_of_lights():
     """Draw no more candidates than there are lights, and look at frames before only where those are too few."""
     for light, count, reuses in (("sun", 1, False), ("sun and point", 3, False), ("emitter", 2, False),
                                  ("world", 2, False), ("many", 4, True)):
-        frames = Frames(lit(light), CAMERA, temporal_reuse=1)
+        frames = Frames(lit(light), CAMERA, candidates=4, temporal_reuse=1)
         for _ in range(3):
             frames.frame(moving=False)
         counts = frames.direct.reservoirs.current(frames.views.parity).weight.numpy()[:, 1]

@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 CAMERA = scenes.camera_above(height=1.0, half=0.5, orthographic=False)
 SAMPLES = 16
-SETTINGS = {"plain": {"temporal_reuse": 0, "half_rate": False}, "both": {"temporal_reuse": 2}}
+SETTINGS = {"plain": {"temporal_reuse": 0, "half_rate": False}, "both": {"temporal_reuse": 2, "candidates": 4}}
 
 
 @wp.kernel
