@@ -48,7 +48,7 @@ CHANGING_DEVIATIONS = wp.constant(1.0)
 # Relative difference of distances from which on a mirror shows something else than before, and from twice which it does
 # so for sure; the difference of the light, in deviations, that must come with it.
 REPLACED_DISTANCE = wp.constant(0.04)
-REPLACED_DEVIATIONS = wp.constant(1.0)
+REPLACED_DEVIATIONS = wp.constant(0.5)
 # Length and deviation, as a share of the difference, that a mean is left with then: where the edge of what is reflected
 # runs through a pixel, the next such difference is one of noise.
 RENEWED_LENGTH = wp.constant(0.5)
