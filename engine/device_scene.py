@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -15,7 +15,8 @@ from ..kernels import types
 from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
-from .geometry_store import GeometryStore
+from .geometry_store import GeometryStore, MeshRange
+from .instance_rows import filtered_groups, instance_bounds, instance_rows, write_places
 from .lamps import lamp_array, lamp_power
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
@@ -23,7 +24,7 @@ from .opacity_maps import OpacityMaps
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
 from .settings import PerformanceSettings
-from .structures import RAY_KINDS, InstancePlan, Structures
+from .structures import InstancePlan, Structures
 from .tables import albedo_tables
 from .textures import TextureStore
 
@@ -117,13 +118,19 @@ class DeviceScene:
         if delta.world is not None:
             self.world = delta.world
         moved = np.zeros(0, np.int64)
+        only_moved = False
         if delta.instances is not None:
+            only_moved = not (rebuild or delta.meshes) and delta.instances.moved_from(self.table)
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
         self._measure_bounds()
         materials_changed = self._update_materials(delta)
-        filters_changed = self._plan_instances()
+        if only_moved and not materials_changed:
+            self._move_instances(moved)
+            filters_changed = False
+        else:
+            filters_changed = self._plan_instances()
         rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
         geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
         tell("Structures", 0.5)
@@ -137,7 +144,7 @@ class DeviceScene:
                     i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
                 self.structures.leave_flat(np.union1d(moved, edited).astype(np.int64))
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
-            # Always: _plan_instances has filled the rows anew, without the structures' ids.
+            # Always: _plan_instances may have filled the rows anew, without the structures' ids.
             self._upload_instances()
             self.opacity_maps.update(self, self._assemble, settings.opacity_maps, bool(delta.images))
         emission_moved = rebuild or self._any_emits(moved, changed_meshes)
@@ -225,24 +232,16 @@ class DeviceScene:
 
     def _measure_bounds(self) -> None:
         """Find the bounds of all drawn instances and, for a new scene, its origin."""
-        table = self.table
-        ranges = [self.store.ranges[key] for key in table.mesh_keys]
-        pick = table.mesh_index
-        drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[pick] if ranges else np.zeros(0, bool)
-        low = np.array([r.low for r in ranges]).reshape(-1, 3)[pick]
-        high = np.array([r.high for r in ranges]).reshape(-1, 3)[pick]
-        linear = table.transforms[:, :3, :3]
-        with np.errstate(over="ignore", invalid="ignore"):
-            center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
-            half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
-        drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
-        center, half = np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
+        drawn, center, half = instance_bounds(self.table, self._ranges())
         if self.plan is None:
             self._choose_origin(center[drawn], half[drawn])
         self.drawn, self.low, self.high = drawn, center - half - self.origin, center + half - self.origin
         if drawn.any():
             low, high = self.low[drawn], self.high[drawn]
             self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
+
+    def _ranges(self) -> list[MeshRange]:
+        return [self.store.ranges[key] for key in self.table.mesh_keys]
 
     def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
         """Move far-away scenes to the origin, where float32 keeps what matters: by the median, where most of it is."""
@@ -258,65 +257,25 @@ class DeviceScene:
     def _plan_instances(self) -> bool:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
         table, old = self.table, self.plan
-        groups, group_index = self._filtered_groups(table)
+        groups, group_index = filtered_groups(table, self.materials)
         self.plan = InstancePlan(
             mesh_keys=table.mesh_keys, mesh_index=np.where(self.drawn, table.mesh_index, -1), filtered_slots=groups,
             group_index=group_index, low=self.low, high=self.high)
-        self._fill_rows(table, [self.store.ranges[key] for key in table.mesh_keys])
-        if old is None or len(old.group_index) != len(group_index):
-            return True
-        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
-
-    def _filtered_groups(self, table: InstanceTable) -> tuple[list[tuple[bool, ...]], np.ndarray]:
-        """Return the distinct tuples of filtered slots, and which each instance has."""
-        transparent = [
-            tuple(self.materials.get(key, self.materials[None]).has_transparency for key in keys)
-            for keys in table.material_sets]
-        partial = (table.visibility & RAY_KINDS) != RAY_KINDS
-        combined = table.material_set_index * 2 + partial
-        values, group_index = np.unique(combined, return_inverse=True)
-        groups = []
-        for value in values.tolist():
-            slots = transparent[value // 2]
-            groups.append(tuple(True for _ in slots) if value % 2 else slots)
-        return groups, group_index.astype(np.int64)
-
-    def _fill_rows(self, table: InstanceTable, ranges: list) -> None:
-        count = len(table.mesh_index)
-        rows = np.zeros(count, types.Instance.numpy_dtype())
-        matrices = table.transforms.copy()
-        matrices[:, :3, 3] -= self.origin
-        matrices[~(np.abs(matrices) <= np.finfo(np.float32).max).all((1, 2))] = np.eye(4)
-        determinant = np.linalg.det(matrices[:, :3, :3])
-        safe = matrices.copy()
-        safe[determinant == 0] = np.eye(4)
-        rows["to_world"] = matrices
-        with np.errstate(over="ignore"):
-            inverse = np.linalg.inv(safe).astype(np.float32)
-        # Of what is too small for float32 to have an inverse: rays never meet it.
-        inverse[~np.isfinite(inverse).all((1, 2))] = np.eye(4)
-        rows["to_object"] = inverse
-        rows["flipped"] = determinant < 0
-        pick = table.mesh_index
-        rows["mesh"] = np.array([r.row for r in ranges], np.int32)[pick] if ranges else 0
-        rows["triangle_offset"] = np.array([r.triangle_start for r in ranges], np.int32)[pick] if ranges else 0
-        if ranges:
-            rows["generated_location"] = np.array([r.generated[0] for r in ranges], np.float32)[pick]
-            rows["generated_size"] = np.array([r.generated[1] for r in ranges], np.float32)[pick]
-        lengths = np.array([len(keys) for keys in table.material_sets], np.int32)
-        offsets = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
-        rows["material_offset"] = offsets[table.material_set_index]
-        rows["material_count"] = lengths[table.material_set_index]
-        rows["visibility"] = table.visibility
-        rows["object_id"] = table.object_name_index
-        rows["pass_index"] = table.pass_index
-        rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)
-        rows["color"] = table.color
-        self.rows = rows
+        ranges = self._ranges()
+        self.rows = instance_rows(table, ranges, self.origin)
         self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
         self.instance_materials = self._overwrite(
             self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
+        if old is None or len(old.group_index) != len(group_index):
+            return True
+        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
+
+    def _move_instances(self, moved: np.ndarray) -> None:
+        """Do what `_plan_instances` does where instances only moved."""
+        self.plan = replace(self.plan, mesh_index=np.where(self.drawn, self.table.mesh_index, -1), low=self.low,
+                            high=self.high)
+        write_places(self.rows, self.table.transforms, self.origin, moved)
 
     def _overwrite(self, array: wp.array, values: np.ndarray, dtype: type) -> wp.array:
         """Put values on the device, into the same array if they fit: recorded frames go on using it."""

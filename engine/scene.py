@@ -12,7 +12,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -98,6 +98,11 @@ class InstanceTable:
     """Names of light groups"""
     light_group_index: np.ndarray | None = None
     """int32 [N], index into light_groups of what an instance emits, -1 for none; None: none at all"""
+
+    def moved_from(self, other: InstanceTable) -> bool:
+        """Return whether this is the other table with nothing but other transforms, by its very arrays and lists."""
+        return all(getattr(self, item.name) is getattr(other, item.name)
+                   for item in fields(self) if item.name != "transforms")
 
     @staticmethod
     def empty() -> InstanceTable:

@@ -35,6 +35,16 @@ class Changes:
     """session_uid of lamps whose data changed"""
     world: bool = False
     images: set[int] = field(default_factory=set)
+    objects: list[bpy.types.Object] = field(default_factory=list)
+    """Those that `instances` is for, evaluated; only valid during the extraction"""
+    arranged: bool = False
+    """Something else than single objects changed that may add, hide or reorder instances"""
+
+    @property
+    def only_objects(self) -> bool:
+        """Whether nothing but objects changed, and of none of them its geometry."""
+        return bool(self.objects) and not (self.everything or self.arranged or self.geometry or self.materials
+                                           or self.lights or self.world or self.images)
 
     def __bool__(self) -> bool:
         return bool(self.everything or self.instances or self.materials or self.world or self.images)
@@ -55,7 +65,9 @@ def read_changes(depsgraph: bpy.types.Depsgraph) -> Changes:
             if update.is_updated_geometry:
                 changes.geometry.add(uid)
             # A camera that moves changes nothing in the scene; its visibility flags would be shading.
-            changes.instances |= item.type != 'CAMERA' or item.is_instancer or update.is_updated_shading
+            if item.type != 'CAMERA' or item.is_instancer or update.is_updated_shading:
+                changes.instances = True
+                changes.objects.append(item)
         elif isinstance(item, bpy.types.Material):
             changes.materials.add(uid)
         elif isinstance(item, bpy.types.World):
@@ -66,7 +78,7 @@ def read_changes(depsgraph: bpy.types.Depsgraph) -> Changes:
             changes.lights.add(uid)
             changes.instances = True
         elif not isinstance(item, _IGNORED):
-            changes.instances = True
+            changes.instances = changes.arranged = True
     return changes
 
 

@@ -20,8 +20,8 @@ from ...engine.report import Report, ReportKind
 from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
 
-__all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances",
-           "object_random_id"]
+__all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
+           "look_of", "object_random_id", "placeable", "read_transforms"]
 
 _CANCEL_INTERVAL = 4096
 _UNUSED_PERSISTENT_ID = 0x7FFFFFFF
@@ -96,6 +96,8 @@ class Gathered:
     placements: list[Placement] = field(default_factory=list)
     materials: dict[Hashable, bpy.types.Material] = field(default_factory=dict)
     """Evaluated materials by session_uid"""
+    drawn: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    """bool [C], which of all the graph's instances are the N that are visible"""
     rows: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     """int64 [N], placement of each instance"""
     random_ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint32))
@@ -141,13 +143,26 @@ def gather_instances(depsgraph: bpy.types.Depsgraph, *, space: bpy.types.SpaceVi
     return walk.gathered
 
 
-def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], report: Report) -> InstanceTable:
-    """Return the table of all mesh instances whose source has a key in `mesh_keys` (None: nothing to draw)."""
-    placements, sources, rows, source_of = gathered.placements, gathered.sources, gathered.rows, gathered.source_of
-    drawn = np.array([key is not None for key in mesh_keys], bool)
-    keep = drawn[source_of[rows]]
-    keep &= _invertible(gathered, rows, report, keep)
-    rows = rows[keep]
+def kept_rows(gathered: Gathered, mesh_keys: list[Hashable | None], report: Report) -> tuple[np.ndarray, np.ndarray]:
+    """Return bool [N] twice: instances that have a mesh, and those of them whose place can be drawn.
+
+    A mesh is a key in `mesh_keys`, one for each source, None where there is nothing to draw. Places that can't be drawn
+    are reported by object.
+    """
+    of_mesh = np.array([key is not None for key in mesh_keys], bool)[gathered.source_of[gathered.rows]]
+    near, good = placeable(gathered.transforms)
+    far = "has a broken transform, or is further away or larger than 1e9 m, and was left out"
+    for failed, message in ((near & ~good, "has a scale of zero, which leaves nothing to draw"), (~near, far)):
+        for row in gathered.rows[failed & of_mesh]:
+            name = gathered.sources[gathered.placements[row].source].name
+            report.add(ReportKind.SKIPPED, f"object '{name}'", message)
+    return of_mesh, of_mesh & near & good
+
+
+def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.ndarray) -> InstanceTable:
+    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names."""
+    placements, sources, source_of = gathered.placements, gathered.sources, gathered.source_of
+    rows = gathered.rows[keep]
     by_source = source_of[rows]
     keys, mesh_index = _number(mesh_keys)
     sets, set_index = _number([source.material_set for source in sources])
@@ -291,6 +306,16 @@ class _Walk:
         return key
 
 
+def look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> tuple:
+    """Return all that a walk reads of an evaluated object but its place."""
+    return (
+        item.name, _uppermost(item).name, item.type, 0 if item.data is None else item.data.as_pointer(),
+        item.hide_viewport, item.instance_type, item.show_instancer_for_viewport, len(item.particle_systems),
+        _ray_visibility(item), item.holdout_get(view_layer=view_layer), item.indirect_only_get(view_layer=view_layer),
+        item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup,
+        tuple(0 if slot.material is None else slot.material.original.session_uid for slot in item.material_slots))
+
+
 def _uppermost(item: bpy.types.Object) -> bpy.types.Object:
     while item.parent is not None:
         item = item.parent
@@ -307,11 +332,9 @@ def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.
     """Fill the arrays of `gathered` from all instances' placements (-1: not drawn) and random ids."""
     instances, count = depsgraph.object_instances, len(found)
     drawn = found >= 0
-    rows = gathered.rows = found[drawn]
-    matrices = np.empty(count * 16, np.float32)
-    instances.foreach_get("matrix_world", matrices)
-    # Blender's matrices are column-major.
-    gathered.transforms = matrices.reshape(-1, 4, 4)[drawn].transpose(0, 2, 1).astype(np.float64)
+    gathered.drawn, gathered.rows = drawn, found[drawn]
+    rows = gathered.rows
+    gathered.transforms = read_transforms(depsgraph, drawn)
     is_self = np.array([placement.parent_uid is None for placement in gathered.placements], bool)[rows]
     persistent = np.full((count, 8), _UNUSED_PERSISTENT_ID, np.int32)
     if not is_self.all():
@@ -321,21 +344,24 @@ def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.
     gathered.random_ids = np.where(is_self, own, random_ids[drawn] & 0xFFFFFFFF).astype(np.uint32)
 
 
-def _invertible(gathered: Gathered, rows: np.ndarray, report: Report, drawn: np.ndarray) -> np.ndarray:
-    """Return bool [N]: the transform is within limits and has an inverse; the others are reported by object."""
-    linear = gathered.transforms[:, :3, :3]
+def read_transforms(depsgraph: bpy.types.Depsgraph, drawn: np.ndarray) -> np.ndarray:
+    """Return float64 [N, 4, 4], object to world, of the instances that `drawn` (bool [C]) names."""
+    matrices = np.empty(len(drawn) * 16, np.float32)
+    depsgraph.object_instances.foreach_get("matrix_world", matrices)
+    # Blender's matrices are column-major.
+    return matrices.reshape(-1, 4, 4)[drawn].transpose(0, 2, 1).astype(np.float64)
+
+
+def placeable(transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bool [N] twice: which transforms are within limits, and which have an inverse."""
+    linear = transforms[:, :3, :3]
     with np.errstate(all="ignore"):
         lengths = np.linalg.norm(linear, axis=1)
         determinant = np.einsum("ni,ni->n", linear[:, :, 0], np.cross(linear[:, :, 1], linear[:, :, 2]))
         good = np.abs(determinant) > _SINGULAR * lengths.prod(axis=1)
         # Written so that NaN fails.
-        near = (np.abs(gathered.transforms) <= COORDINATE_LIMIT).all(axis=(1, 2))
-    far = "has a broken transform, or is further away or larger than 1e9 m, and was left out"
-    for failed, message in ((near & ~good, "has a scale of zero, which leaves nothing to draw"), (~near, far)):
-        for row in rows[failed & drawn]:
-            name = gathered.sources[gathered.placements[row].source].name
-            report.add(ReportKind.SKIPPED, f"object '{name}'", message)
-    return near & good
+        near = (np.abs(transforms) <= COORDINATE_LIMIT).all(axis=(1, 2))
+    return near, good
 
 
 def _object_keys(gathered: Gathered, rows: np.ndarray, persistent_ids: np.ndarray) -> list[Hashable]:

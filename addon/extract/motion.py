@@ -16,7 +16,7 @@ import numpy as np
 from ...engine.report import Report
 from ...engine.scene import CameraData, FrameMotion
 from .changes import MeshKeys
-from .instances import Gathered, build_table, gather_instances
+from .instances import Gathered, build_table, gather_instances, kept_rows
 
 __all__ = ["OtherFrame", "read_other_frames"]
 
@@ -67,7 +67,7 @@ def read_at(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, fram
     engine.frame_set(frame, subframe)
     gathered = gather(depsgraph)
     versions, slots = MeshKeys.describe(gathered.sources)
-    table = build_table(gathered, versions, Report())
+    table = build_table(gathered, versions, kept_rows(gathered, versions, Report())[1])
     positions = {}
     for source, version in zip(gathered.sources, versions, strict=True):
         if version is not None and version not in still and slots[version] not in positions:

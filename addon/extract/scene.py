@@ -26,9 +26,10 @@ from ...engine.scene import (
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .image import ImageCollector
-from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances
+from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
 from .mesh import extract_mesh
+from .moves import Moves
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
 
@@ -100,6 +101,7 @@ class SceneExtractor:
         self._world_report = Report()
         self._images: ImageCollector | None = None
         self._walk_report = Report()
+        self._moves = Moves()
 
     def refresh(self) -> None:
         """Read everything again next time, but keep meshes that weren't evaluated again (after undo)."""
@@ -174,16 +176,20 @@ class SceneExtractor:
         callbacks.step("Reading the scene", 0.0)
         self._aovs = _asked_aovs(depsgraph)
         images = self._begin_images(depsgraph, delta.full)
-        if changes.everything or changes.instances or changes.materials or changes.images:
+        if changes.only_objects and self._moves.read(depsgraph, changes.objects):
+            self._hand_over_table(delta, self._moves.table)
+            self._object_lights = self._moves.lights
+        elif changes.everything or changes.instances or changes.materials or changes.images:
             self._walk_report = Report()
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
             if depsgraph.mode == 'RENDER' and depsgraph.scene.render.use_motion_blur:
                 self._walk_report.add(ReportKind.SKIPPED, "", "motion blur is not drawn in this version")
-            self._extract_meshes(delta, gathered, changes, callbacks)
-            self._extract_lights(gathered, changes)
+            of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
+            lamps = self._extract_lights(gathered, changes)
             self._extract_materials(delta, gathered, changes, images, callbacks)
+            self._moves.note(depsgraph, changes.objects, gathered, of_mesh, kept, self._table, lamps)
         self._extract_world(delta, depsgraph, changes, images)
         self._hand_over_lights(delta)
         callbacks.step("Reading images", 1.0)
@@ -198,8 +204,8 @@ class SceneExtractor:
         return self._images
 
     def _extract_meshes(self, delta: SceneDelta, gathered: Gathered, changes: Changes,
-                        callbacks: _Callbacks) -> None:
-        """Read new and changed meshes, then make the table of their instances."""
+                        callbacks: _Callbacks) -> tuple[np.ndarray, np.ndarray]:
+        """Read new and changed meshes, then make the table of their instances; returns `kept_rows` of them."""
         keys, new = self._mesh_keys.assign(gathered.sources)
         for key, source in zip(keys, gathered.sources, strict=True):
             # Edit mode and sculpting may change a mesh without evaluating it anew.
@@ -215,7 +221,12 @@ class SceneExtractor:
                 self._empty_meshes.add(key)
         self.counts.meshes = len(new)
         self._mesh_reports = {key: self._mesh_reports[key] for key in set(keys) - {None}}
-        table = build_table(gathered, [None if key in self._empty_meshes else key for key in keys], self._walk_report)
+        filled = [None if key in self._empty_meshes else key for key in keys]
+        of_mesh, kept = kept_rows(gathered, filled, self._walk_report)
+        self._hand_over_table(delta, build_table(gathered, filled, kept))
+        return of_mesh, kept
+
+    def _hand_over_table(self, delta: SceneDelta, table: InstanceTable) -> None:
         if self._table is None or not same_table(table, self._table):
             delta.instances = table
         self._table = table
@@ -231,20 +242,21 @@ class SceneExtractor:
         finally:
             source.owner.to_mesh_clear()
 
-    def _extract_lights(self, gathered: Gathered, changes: Changes) -> None:
-        lights = []
+    def _extract_lights(self, gathered: Gathered, changes: Changes) -> dict[int, LightData | None]:
+        """Read all lamps; returns them by their numbers among the instances, None for what can't light anything."""
+        lamps = {}
         if changes.everything:
             self._light_factors.clear()
         is_light = np.array([source.is_light for source in gathered.sources], bool)
-        for index in np.flatnonzero(is_light[gathered.source_of[gathered.rows]]):
+        for index in np.flatnonzero(is_light[gathered.source_of[gathered.rows]]).tolist():
             placement = gathered.placements[gathered.rows[index]]
             source = gathered.sources[placement.source]
-            light = extract_light(source.data, gathered.transforms[index].copy(), placement.visibility,
-                                  self._light_factor(source.data, changes), f"light '{source.name}'",
-                                  self._walk_report, source.light_group)
-            if light is not None:
-                lights.append(light)
-        self._object_lights = lights
+            lamps[index] = extract_light(
+                source.data, gathered.transforms[index].copy(), placement.visibility,
+                self._light_factor(source.data, changes), f"light '{source.name}'", self._walk_report,
+                source.light_group)
+        self._object_lights = [light for light in lamps.values() if light is not None]
+        return lamps
 
     def _hand_over_lights(self, delta: SceneDelta) -> None:
         """Send the lamps and the sun of the world's sky, where any of them changed."""

@@ -180,3 +180,22 @@ def test_odd_meshes_are_met_or_not() -> None:
     for shapes in ({"a": one}, {"a": flat}, {"a": one, "b": flat, "c": empty}):
         placed = [(key, np.eye(4), "grey") for key in shapes]
         check(opened(shapes, placed), shapes, placed)
+
+
+def test_rows_of_moved_objects_are_those_of_a_new_scene() -> None:
+    """Write the same rows, bounds and plan whether instances only moved or all of the table is read again."""
+    shapes, settings = meshes(), PerformanceSettings()
+    made = opened(shapes, objects())
+    for shift in (0.4, -0.3):
+        there = scenes.instances(objects(shift))
+        moved = replace(made.table, transforms=there.transforms)
+        assert moved.moved_from(made.table) and not there.moved_from(made.table)
+        made.apply(SceneDelta(instances=moved), settings)
+        read = opened(shapes, objects())
+        read.apply(SceneDelta(instances=there), settings)
+        for name in made.rows.dtype.names:
+            if not name.endswith("_bvh"):
+                np.testing.assert_array_equal(made.rows[name], read.rows[name], name)
+        np.testing.assert_array_equal(made.plan.mesh_index, read.plan.mesh_index)
+        np.testing.assert_array_equal((made.plan.low, made.plan.high), (read.plan.low, read.plan.high))
+        check(made, shapes, objects(shift))

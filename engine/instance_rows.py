@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Instances as the kernels read them: one row of numbers each, made of the table and of what their meshes are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels import types
+from .geometry_store import MeshRange
+from .scene import InstanceTable, Key, MaterialData
+from .structures import RAY_KINDS
+
+__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "write_places"]
+
+ROW_TYPE = np.dtype(types.Instance.numpy_dtype())
+"""Asked for once: Warp works it out anew each time"""
+
+
+def instance_bounds(table: InstanceTable, ranges: list[MeshRange]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bool [N], which instances have anything finite to draw, and the centres and half sizes of their bounds.
+
+    float64 [N, 3], in world space, zero for those that are not drawn.
+    """
+    pick = table.mesh_index
+    drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[pick] if ranges else np.zeros(0, bool)
+    low = np.array([r.low for r in ranges]).reshape(-1, 3)[pick]
+    high = np.array([r.high for r in ranges]).reshape(-1, 3)[pick]
+    linear = table.transforms[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
+        half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
+    drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
+    return drawn, np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
+
+
+def filtered_groups(
+    table: InstanceTable, materials: dict[Key, MaterialData],
+) -> tuple[list[tuple[bool, ...]], np.ndarray]:
+    """Return the distinct tuples of filtered slots, and int64 [N], which of them each instance has."""
+    transparent = [
+        tuple(materials.get(key, materials[None]).has_transparency for key in keys) for keys in table.material_sets]
+    partial = (table.visibility & RAY_KINDS) != RAY_KINDS
+    combined = table.material_set_index * 2 + partial
+    values, group_index = np.unique(combined, return_inverse=True)
+    groups = []
+    for value in values.tolist():
+        slots = transparent[value // 2]
+        groups.append(tuple(True for _ in slots) if value % 2 else slots)
+    return groups, group_index.astype(np.int64)
+
+
+def instance_rows(table: InstanceTable, ranges: list[MeshRange], origin: np.ndarray) -> np.ndarray:
+    """Return all instances as kernels.types.Instance [N], without the structures' ids.
+
+    Args:
+        table: All instances.
+        ranges: Of the table's meshes.
+        origin: float64 [3], the scene's origin, subtracted from all places.
+    """
+    rows = np.zeros(len(table.mesh_index), ROW_TYPE)
+    write_places(rows, table.transforms, origin, slice(None))
+    pick = table.mesh_index
+    if ranges:
+        rows["mesh"] = np.array([r.row for r in ranges], np.int32)[pick]
+        rows["triangle_offset"] = np.array([r.triangle_start for r in ranges], np.int32)[pick]
+        rows["generated_location"] = np.array([r.generated[0] for r in ranges], np.float32)[pick]
+        rows["generated_size"] = np.array([r.generated[1] for r in ranges], np.float32)[pick]
+    lengths = np.array([len(keys) for keys in table.material_sets], np.int32)
+    offsets = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
+    rows["material_offset"] = offsets[table.material_set_index]
+    rows["material_count"] = lengths[table.material_set_index]
+    rows["visibility"] = table.visibility
+    rows["object_id"] = table.object_name_index
+    rows["pass_index"] = table.pass_index
+    rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)
+    rows["color"] = table.color
+    return rows
+
+
+def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, chosen: np.ndarray | slice) -> None:
+    """Write the transforms (float64 [N, 4, 4]) of the `chosen` instances into their rows."""
+    matrices = transforms[chosen].copy()
+    matrices[:, :3, 3] -= origin
+    matrices[~(np.abs(matrices) <= np.finfo(np.float32).max).all((1, 2))] = np.eye(4)
+    determinant = np.linalg.det(matrices[:, :3, :3])
+    safe = matrices.copy()
+    safe[determinant == 0] = np.eye(4)
+    with np.errstate(over="ignore"):
+        inverse = np.linalg.inv(safe).astype(np.float32)
+    # Of what is too small for float32 to have an inverse: rays never meet it.
+    inverse[~np.isfinite(inverse).all((1, 2))] = np.eye(4)
+    rows["to_world"][chosen] = matrices
+    rows["to_object"][chosen] = inverse
+    rows["flipped"][chosen] = determinant < 0
