@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import display
+from .staging import PictureInbox
 
 __all__ = ["DevicePicture", "GlTexture", "PictureReader", "make_test_picture"]
 
@@ -40,7 +41,7 @@ class PictureReader:
     def __init__(self, device: str):
         self.device = device
         self._packed: wp.array | None = None
-        self._pinned: wp.array | None = None
+        self._inbox = PictureInbox()
         self._ring: list[wp.array] = []
         self._turn = 0
 
@@ -57,14 +58,9 @@ class PictureReader:
         count = width * height
         if self._packed is None or self._packed.size != count:
             self._packed = wp.empty(count, dtype=wp.uint32, device=self.device)
-            cuda = self._packed.device.is_cuda
-            self._pinned = wp.empty(count, dtype=wp.uint32, device="cpu", pinned=cuda)
         wp.launch(display.pack_picture, count, [picture], [self._packed], device=self.device)
-        wp.copy(self._pinned, self._packed)
-        if self._packed.device.is_cuda:
-            wp.synchronize_stream(wp.get_stream(self.device))
-        # A copy: the pinned array is written again while this picture is being drawn.
-        return self._pinned.numpy().copy().view(np.float32).reshape(height, width)
+        # A copy: what the inbox holds is written again while this picture is being drawn.
+        return self._inbox.read(self._packed).copy().view(np.float32).reshape(height, width)
 
     def on_device(self, picture: wp.array, width: int, height: int) -> DevicePicture:
         """Return `picture` as half floats that stay on the device, valid until RING more were made."""

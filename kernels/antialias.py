@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from .long_mean import off_centre
+from .gbuffer import unpack_roughness
+from .long_mean import only_camera_moved
 from .packed_halves import unpack_halves
 from .reflection_sources import DISTANCE_ROUGHNESS
 from .reflection_temporal import RENEWED_LENGTH
-from .reprojection import MOVED
 from .view import View, settled_length
 from .wide_loads import load_vec4, load_view
 from .wide_stores import store_vec4
@@ -270,9 +270,9 @@ def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: i
     The mean of its reflection has been made anew there (reflection_temporal.renewed), which a camera that moves leaves
     alone. Whatever moves in a mirror would be smeared: the surface's motion is not its image's.
     """
-    if mirrors.known <= 0.0 or ((taps & MOVED) == wp.uint8(0) and off_centre(position)):
+    if mirrors.known <= 0.0 or only_camera_moved(position, taps):
         return MOTION_SAMPLES
-    if float(mirrors.material[pixel] & wp.uint32(65535)) > DISTANCE_ROUGHNESS * 65535.0:
+    if unpack_roughness(mirrors.material[pixel]) > DISTANCE_ROUGHNESS:
         return MOTION_SAMPLES
     length = wp.abs(unpack_halves(mirrors.state[pixel])[0])
     if length <= 0.0:

@@ -170,6 +170,14 @@ def finished(light: LightPair, last: int) -> LightPair:
 
 
 @wp.func
+def tap_offset(index: int, stride: int, turn: int) -> wp.vec2i:
+    """Return where one of the four taps is [px]: (stride, turn), turned by a quarter each time."""
+    along = stride if index % 2 == 0 else -turn
+    across = turn if index % 2 == 0 else stride
+    return wp.vec2i(along if index < 2 else -along, across if index < 2 else -across)
+
+
+@wp.func
 def near_pixel(x: int, y: int, width: int, height: int) -> int:
     """Return the pixel at a place, or the one closest to it in the picture."""
     return wp.clamp(y, 0, height - 1) * width + wp.clamp(x, 0, width - 1)
@@ -291,13 +299,11 @@ def filter_direct_first(
         if moving > 0.0 and light.diffuse[3] >= 0.0:
             change = add_change(change, light, unpack_halves(history_out.moments[pixel]), 1.0)
         for index in range(4):
-            # Right, above, left, below.
-            i = 1 - index if index % 2 == 0 else 0
-            j = 0 if index % 2 == 0 else 2 - index
-            q = near_pixel(x + i, y + j, width, height)
-            w = geometry_weight(gbuffer, plane, normal, own, q, i, j)
+            offset = tap_offset(index, 1, 0)
+            q = near_pixel(x + offset[0], y + offset[1], width, height)
+            w = geometry_weight(gbuffer, plane, normal, own, q, offset[0], offset[1])
             tap = load_light(diffuse, specular, q)
-            if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
+            if not inside(x + offset[0], y + offset[1], width, height) or tap.diffuse[3] < 0.0:
                 w = float(0.0)
             sums = add_pair(
                 sums, light, tap, w * blur * TAP_WEIGHT, roughness_weight(material, gbuffer.material[q]))
@@ -369,15 +375,11 @@ def filter_direct(
         y = pixel // width
         sums = PairSums()
         for index in range(4):
-            # (stride, turn), turned by a quarter each time
-            along = stride if index % 2 == 0 else -turn
-            across = turn if index % 2 == 0 else stride
-            i = along if index < 2 else -along
-            j = across if index < 2 else -across
-            q = near_pixel(x + i, y + j, width, height)
-            w = geometry_weight(gbuffer, plane, normal, own, q, i, j) * blur
+            offset = tap_offset(index, stride, turn)
+            q = near_pixel(x + offset[0], y + offset[1], width, height)
+            w = geometry_weight(gbuffer, plane, normal, own, q, offset[0], offset[1]) * blur
             tap = load_light(diffuse, specular, q)
-            if not inside(x + i, y + j, width, height) or tap.diffuse[3] < 0.0:
+            if not inside(x + offset[0], y + offset[1], width, height) or tap.diffuse[3] < 0.0:
                 w = float(0.0)
             sums = add_pair(sums, centre, tap, w, roughness_weight(material, gbuffer.material[q]))
         light = filtered_pair(sums, centre)

@@ -128,12 +128,18 @@ def has_surface(s: Surface) -> bool:
 
 
 @wp.func
+def unpack_roughness(packed: wp.uint32) -> float:
+    """Return the base lobe's roughness of one entry of GBuffer.material."""
+    return float(packed & wp.uint32(65535)) * 1.5259022e-5
+
+
+@wp.func
 def load_material(gbuffer: GBuffer, pixel: int) -> SurfaceMaterial:
     """Return what the surface of a pixel does with light."""
     m = SurfaceMaterial()
     packed = gbuffer.material[pixel]
     m.flags = packed
-    m.roughness = float(packed & wp.uint32(65535)) * 1.5259022e-5
+    m.roughness = unpack_roughness(packed)
     m.f90 = float((packed >> wp.uint32(16)) & wp.uint32(255)) * (GRAZING_MAX / 255.0)
     m.diffuse = unpack_color(gbuffer.diffuse[pixel])
     m.specular = unpack_color(gbuffer.specular[pixel])

@@ -11,7 +11,7 @@ import warp as wp
 
 from .gbuffer import GBuffer
 from .packing import HALF_MAX
-from .reprojection import has_tap
+from .reprojection import MOVED, has_tap
 from .wide_loads import load_four_floats, load_two_floats, load_two_words, load_word
 
 # Brings 2^-47..2^16 down to where the exponent of float32 has its two upper bits 0, and back.
@@ -226,6 +226,15 @@ def off_centre(position: wp.vec2) -> bool:
     x = position[0] - 0.5
     y = position[1] - 0.5
     return wp.abs(x - wp.round(x)) + wp.abs(y - wp.round(y)) > ON_CENTRE
+
+
+@wp.func
+def only_camera_moved(position: wp.vec2, taps: wp.uint8) -> bool:
+    """Return whether a pixel's surface was elsewhere in the frame before, by the camera's movement alone.
+
+    Of Reprojection, for one pixel; not so where nothing has moved.
+    """
+    return (taps & MOVED) == wp.uint8(0) and off_centre(position)
 
 
 @wp.func

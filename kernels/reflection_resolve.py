@@ -16,6 +16,7 @@ from .hash_grid import (
     find_key,
     find_lit_cell,
     indirect_light,
+    is_lit,
 )
 from .packed_halves import pack_halves
 from .packing import HALF_MAX, rgb, rgba, unpack_normal
@@ -48,9 +49,8 @@ def exact_cell(grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, d
     """Return the cell of a point without any chance in it, NO_CELL where it knows nothing."""
     level = cell_level(grid, view.camera, position, wp.uint32(0))
     cell = find_key(grid, cell_key(grid, level, position, normal, direction))
-    if cell != NO_CELL:
-        if not grid.direct[cell][3] > 0.0:
-            cell = NO_CELL
+    if not is_lit(grid, cell):
+        cell = NO_CELL
     return cell
 
 

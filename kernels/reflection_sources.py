@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter_weights import squared_cosine
-from .gbuffer import GBuffer
+from .gbuffer import GBuffer, unpack_roughness
 from .geometry_math import max_component
 from .long_mean import (
     ALL_TAPS,
@@ -153,7 +153,7 @@ def gather_reflection(
 @wp.func
 def surface_roughness(gbuffer: GBuffer, pixel: int) -> float:
     """Return the roughness of a pixel's base lobe."""
-    return float(gbuffer.material[pixel] & wp.uint32(65535)) * 1.5259022e-5
+    return unpack_roughness(gbuffer.material[pixel])
 
 
 @wp.func

@@ -13,7 +13,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_material
 from .geometry_math import is_finite3, max_component
-from .long_mean import EDIT_FRAMES, history_cap, off_centre, pack_mean
+from .long_mean import EDIT_FRAMES, history_cap, only_camera_moved, pack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb
 from .reflection_blocks import ReflectionHistory, ReflectionLight, filter_roughness, light_strength
@@ -27,7 +27,7 @@ from .reflection_sources import (
     no_reflection,
 )
 from .reflection_types import ReflectionOptions, fading, is_sampled
-from .reprojection import Reprojection, has_moved
+from .reprojection import Reprojection
 from .view import SKY_DEPTH, View, settling_frames
 from .wide_loads import load_view
 
@@ -210,7 +210,7 @@ def accumulate_reflections(
         if known:
             confidence = wp.max(state[1], START_CONFIDENCE * wp.clamp(1.0 - m.length / START_FRAMES, 0.0, 1.0))
             moving = wp.clamp(1.0 - float(view.rest) / REST_FRAMES, 0.0, 1.0)
-            if has_moved(reprojection, pixel) or not off_centre(reprojection.position[pixel]):
+            if not only_camera_moved(reprojection.position[pixel], reprojection.taps[pixel]):
                 # A camera that moves takes what is reflected along with its image; past a mirror that turns near things
                 # and those behind them go at their own pace.
                 if view.rest == 0 or (view.rest <= RENEWED_FRAMES and m.length > RENEWED_MINIMUM):
