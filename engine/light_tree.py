@@ -56,8 +56,10 @@ def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> Li
     levels = max(int(np.ceil(np.log2(max(count, 1)))), 0)
     leaves = 1 << levels
     center = 0.5 * (np.asarray(low, np.float64) + high)
-    extent = np.maximum(center.max(0) - center.min(0), 1e-30) if count else np.ones(3)
-    cells = np.minimum((center - center.min(0)) / extent * (1 << 20), (1 << 20) - 1) if count else center
+    # Cubes: lights in a plane would else be sorted by rounding errors across it first. Rounded to the nearest, so that
+    # lights in the midst of each other stay in their order however the scene is scaled.
+    extent = max((center.max(0) - center.min(0)).max(), 1e-30) if count else 1.0
+    cells = np.minimum(np.rint((center - center.min(0)) / extent * (1 << 20)), (1 << 20) - 1) if count else center
     code = sum(_spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3)) if count else np.zeros(0)
     order = np.argsort(code, kind="stable")
     bounds_low = np.full((2 * leaves, 3), np.inf)

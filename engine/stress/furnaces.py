@@ -43,7 +43,16 @@ ALBEDOS = {0.0: 0.01, 0.5: 0.01, 0.8: 0.01, 0.9: 0.01, 0.95: 0.02}
 """Shares of light that walls return, with what the radiance may be off"""
 FLAT_TOLERANCE = 0.01
 GLASS_TOLERANCE = 0.03
-"""Rough glass keeps 98 % of the light in Cycles, and here"""
+"""Off what Cycles keeps"""
+GLASS_BOUNCES = 64
+IN_CYCLES = {
+    1.0: (1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+    1.33: (1.0, 1.0, 0.9998, 0.9936, 0.9877, 0.9906),
+    1.5: (1.0, 1.0, 0.9995, 0.9902, 0.9793, 0.9807),
+    2.4: (1.0, 0.9988, 0.9985, 0.9852, 0.9489, 0.9334),
+}
+"""Share of a white sky's light that balls of white glass keep in Cycles 5.2, by IOR for ROUGHNESSES: 1024 samples, 512
+bounces"""
 SCALES = (1e-3, 1.0, 1e3)
 VIEWS = 1024
 """Of a surface, for its share of the light"""
@@ -110,14 +119,17 @@ def run_balls(trial: Trial, integrator: Integrator, glass: bool) -> None:
     iors = ((1.5,) if trial.quick else (1.0, 1.33, 1.5, 2.4)) if glass else (None,)
     amount = trial.choose(32, 1024) if integrator == Integrator.REFERENCE else trial.choose(32, 128)
     tolerance = GLASS_TOLERANCE if glass else FLAT_TOLERANCE
+    # Light leaves glass of a high IOR after many reflections inside: ended early by roulette, it is all sparks.
+    paths = {"light_paths": {"roulette_start": GLASS_BOUNCES}} if glass else {}
     mask = ball_masks(len(ROUGHNESSES), BALLS_SIZE)
     for (metallic, ior), glass_ior in itertools.product(metals, iors):
         arguments = {"metallic": metallic, "ior": glass_ior or ior, "transmission": float(glass)}
         materials = [principled(color=1.0, roughness=roughness, **arguments) for roughness in ROUGHNESSES]
-        light = luminance(trial.render(balls_in_sky(materials, BALLS_SIZE), integrator, amount, BALLS_SIZE))
-        for roughness, inside in zip(ROUGHNESSES, mask, strict=True):
+        light = luminance(trial.render(balls_in_sky(materials, BALLS_SIZE), integrator, amount, BALLS_SIZE, **paths))
+        shares = IN_CYCLES[arguments["ior"]] if glass else np.ones(len(ROUGHNESSES))
+        for roughness, inside, share in zip(ROUGHNESSES, mask, shares, strict=True):
             name = f"roughness {roughness:g} metallic {metallic:g} IOR {arguments['ior']:g}"
-            trial.check_energy(name, light[inside].mean(), tolerance)
+            trial.check_energy(name, light[inside].mean() / share, tolerance)
 
 
 def ball_masks(count: int, size: tuple[int, int]) -> list[np.ndarray]:
@@ -140,7 +152,7 @@ def make_cases() -> tuple[Case, ...]:
         cases.append(Case(f"furnace: white balls, {integrator}", f"energy within {FLAT_TOLERANCE:.0%}",
                           partial(run_balls, integrator=integrator, glass=False)))
         cases.append(Case(f"furnace: glass balls, {integrator}",
-                          f"energy within {GLASS_TOLERANCE:.0%} (rough glass loses as much in Cycles)",
+                          f"energy within {GLASS_TOLERANCE:.0%} of what Cycles keeps",
                           partial(run_balls, integrator=integrator, glass=True)))
     return tuple(cases)
 

@@ -130,7 +130,7 @@ def blocked():
 def test_shadows(blocked, name):
     """Keep shadow and penumbra of two lamps behind a square in place and in strength."""
     delta, expected = blocked
-    mean = Frames(delta, CAMERA, 16, **SETTINGS[name]).mean(512)
+    mean = Frames(delta, CAMERA, 16, **SETTINGS[name]).mean(1024)
     np.testing.assert_allclose(mean.mean(), expected.mean(), rtol=0.01)
     # Means of 4x4 pixels: single ones keep some noise.
     blocks = [picture.reshape(4, 4, 4, 4, 3).mean((1, 3)) for picture in (mean, expected)]

@@ -107,3 +107,18 @@ def test_lights_behind_a_surface_are_not_chosen():
     assert behind == [0.0, 0.0] and overhead > 3.0 * grazing > 0.0
     wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), ANYWHERE, out], device="cpu")
     assert out.numpy().min() > 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0, 1e3])
+def test_lights_in_a_plane_are_sorted_along_it(scale):
+    """Sort lamps under a ceiling by where they are on it, not by the rounding of their heights, at any scale."""
+    x, y = np.meshgrid(np.arange(8.0), np.arange(8.0))
+    noise = np.random.default_rng(2).uniform(-1e-7, 1e-7, 64)
+    center = np.stack([x.ravel(), y.ravel(), 2.5 + noise], 1)
+    tree = build_light_tree(center - 0.1, center + 0.1, np.ones(64))
+    # Of four lights, the nodes two levels above the leaves: squares of two by two.
+    sides = (tree.high - tree.low)[16:32, :2]
+    np.testing.assert_allclose(sides, 1.2, rtol=1e-5)
+    scaled = (center * scale).astype(np.float32).astype(np.float64)
+    other = build_light_tree(scaled - 0.1 * scale, scaled + 0.1 * scale, np.ones(64))
+    np.testing.assert_array_equal(other.entries, tree.entries)
