@@ -13,7 +13,7 @@ import warp as wp
 
 from .geometry_math import is_finite3, luminance
 from .packing import HALF_MAX, from_half, rgb, rgba
-from .probe_rays import MISS_DISTANCE, ProbeRays
+from .probe_rays import LEAST_DISTANCE, MISS_DISTANCE, ProbeRays, distance_of, inverse_distance
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
 from .sampling import hash32, hash_combine
 from .view import View
@@ -54,13 +54,12 @@ def counted_radiance(rays: ProbeRays, ray: int) -> wp.vec3:
 
 
 @wp.func
-def ray_distance(rays: ProbeRays, ray: int) -> float:
-    """Return how far a ray went [m], positive and fit for half-floats."""
+def counted_distance(rays: ProbeRays, ray: int) -> float:
+    """Return one over how far a ray went [m]."""
     t = load_vec4(rays.radiance, ray)[3]
     if not wp.isfinite(t):
-        return MISS_DISTANCE
-    # The least positive number keeps the distance of a known cell apart from that of an unknown one.
-    return wp.clamp(t, 1.0e-4, MISS_DISTANCE)
+        return 0.0
+    return inverse_distance(t)
 
 
 @wp.func
@@ -109,7 +108,7 @@ def store(value: wp.vec3, distance: float, seed: wp.uint32) -> wp.vec4h:
     b = hash32(a)
     return wp.vec4h(
         dithered_half(value[0], a), dithered_half(value[1], a >> wp.uint32(16)), dithered_half(value[2], b),
-        wp.float16(wp.min(distance, MISS_DISTANCE)))
+        wp.float16(wp.clamp(distance, LEAST_DISTANCE, MISS_DISTANCE)))
 
 
 @wp.kernel
@@ -186,12 +185,12 @@ def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4
             cell = cell_at(cells, i)
             w = wp.where(
                 cell == NO_CELL, 0.0, 1.0 / updates.expected[update * CELLS + wp.min(cell, CELLS - 1)])
-            total = total + rgba(counted_radiance(rays, index), 1.0 / ray_distance(rays, index)) * w
+            total = total + rgba(counted_radiance(rays, index), counted_distance(rays, index)) * w
             weight = weight + w
         k = k + 1
     if weight == 0.0:
         return wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
-    return rgba(rgb(total) / weight, weight / total[3])
+    return rgba(rgb(total) / weight, distance_of(total[3] / weight))
 
 
 @wp.func
@@ -257,20 +256,20 @@ def blend_rays(
         while marks != wp.uint64(0):
             i = update * CELLS + 8 * k + first_ray(marks)
             marks = marks & (marks - wp.uint64(1))
-            total = total + rgba(counted_radiance(rays, i), 1.0 / ray_distance(rays, i))
+            total = total + rgba(counted_radiance(rays, i), counted_distance(rays, i))
             found = found + 1.0
         k = k + 1
     known = before[3] > 0.0
     count = updates.count[update]
     value = rgb(before)
-    inverse = 1.0 / wp.max(before[3], 1.0e-4)
+    inverse = inverse_distance(before[3])
     if grid.exact == 0:
         if found > 0.0:
             value = rgb(total) / found
             inverse = total[3] / found
         else:
             value = published_backup(updates, rays, update)
-            inverse = 1.0 / MISS_DISTANCE
+            inverse = float(0.0)
         if known:
             old = rgb(before)
             step = published_step(luminance(old, grid.luminance), luminance(value, grid.luminance))
@@ -289,8 +288,8 @@ def blend_rays(
         # Of a probe that became lighter nobody knows in which cells.
         step = wp.where(known, 1.0 - 1.0 / wp.max(updates.change[update], 1.0), 1.0)
         value = wp.lerp(value, rgb(mean), step)
-        inverse = wp.lerp(inverse, 1.0 / mean[3], step)
+        inverse = wp.lerp(inverse, inverse_distance(mean[3]), step)
     noise = hash_combine(wp.uint32(slot * CELLS + cell), wp.uint32(views[0].frame))
-    store_vec4h(pool_out.radiance, slot * CELLS + cell, store(value, 1.0 / inverse, noise))
+    store_vec4h(pool_out.radiance, slot * CELLS + cell, store(value, distance_of(inverse), noise))
     if cell == 0:
         pool_out.count[slot] = count + 1.0

@@ -15,7 +15,7 @@ import warp as wp
 from .geometry_math import luminance, to_frame
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
-from .probe_rays import MISS_DISTANCE
+from .probe_rays import MISS_DISTANCE, distance_of, inverse_distance
 from .probe_spawn import LAYER_SHARE, probe_cell, separated, surface_distance
 from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
@@ -168,13 +168,12 @@ def gather_around(
             value = aimed_radiance(pool, slot, position, direction)
             if value[3] > 0.0 and not outdated(view, pool, slot):
                 w = 1.0 / (1.0 + wp.length_sq(pool.position[slot] - position) / (cell * cell))
-                # Distances are averaged as their inverses: parallax is.
-                total = total + rgba(rgb(value), 1.0 / value[3]) * w
+                total = total + rgba(rgb(value), inverse_distance(value[3])) * w
                 weight = weight + w
         i = i + 1
     if weight == 0.0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    return rgba(rgb(total) / weight, weight / total[3])
+    return rgba(rgb(total) / weight, distance_of(total[3] / weight))
 
 
 @wp.kernel(cuda_max_registers=80)

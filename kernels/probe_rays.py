@@ -5,8 +5,30 @@ from __future__ import annotations
 
 import warp as wp
 
+from .probe_types import FAR
+
 # Distance [m] given for rays that leave the scene: fits a half-float, and means "a direction only".
 MISS_DISTANCE = wp.constant(6.0e4)
+
+
+# Least distance that is told apart from none.
+LEAST_DISTANCE = wp.constant(1.0e-7)
+
+
+@wp.func
+def inverse_distance(distance: float) -> float:
+    """Return one over a distance [m]; 0 from FAR on, of which only the direction counts.
+
+    Distances are averaged as their inverses, since parallax goes by these: those of the sky then say nothing, however
+    large or small the scene is.
+    """
+    return wp.where(distance < FAR, 1.0 / wp.max(distance, LEAST_DISTANCE), 0.0)
+
+
+@wp.func
+def distance_of(inverse: float) -> float:
+    """Return the distance of inverse_distance, at most MISS_DISTANCE."""
+    return 1.0 / wp.max(inverse, 1.0 / MISS_DISTANCE)
 
 
 @wp.struct

@@ -19,7 +19,7 @@ from .packing import from_half, pack_normal, rgb, rgba
 from .probe_gather import REAIM_COSINE, UNKNOWN, neighbour_tile
 from .probe_interpolate import REACH, Place, bare_place, record_weight
 from .probe_map import cell_of, hemisphere_to_square, to_local
-from .probe_rays import MISS_DISTANCE
+from .probe_rays import distance_of, inverse_distance
 from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER
 from .probe_types import CELLS, FAR, TILE, ProbeGrid, ProbePool
 from .reflection_rays import sequence_index, sequence_seed
@@ -55,7 +55,7 @@ def cell_distance(maps: wp.array[wp.uint64], slot: int, local: wp.vec3) -> float
 def cell_value(maps: wp.array[wp.uint64], cell: int) -> wp.vec4:
     """Return a cell's exposed radiance and inverse distance: parallax goes by that."""
     value = unpack_halves(maps[cell])
-    return rgba(rgb(value), 1.0 / wp.max(value[3], 1.0e-4))
+    return rgba(rgb(value), inverse_distance(value[3]))
 
 
 @wp.func
@@ -110,10 +110,10 @@ def aimed_value(maps: wp.array[wp.uint64], slot: int, offset: wp.vec3, local: wp
             if far >= FAR or wp.dot(seen, local) < REAIM_COSINE * wp.length(seen):
                 aim = local
     value = smooth_value(maps, slot, aim)
-    distance = 1.0 / value[3]
+    distance = distance_of(value[3])
     if distance < FAR:
         distance = wp.length(aim * distance - offset)
-    return rgba(rgb(value), 1.0 / wp.clamp(distance, 1.0e-4, MISS_DISTANCE))
+    return rgba(rgb(value), inverse_distance(distance))
 
 
 @wp.func
@@ -166,7 +166,7 @@ def arriving_light(
     if chosen < 0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
     light = aimed_value(maps, chosen, offset, aim)
-    return rgba(rgb(light), 1.0 / light[3])
+    return rgba(rgb(light), distance_of(light[3]))
 
 
 @wp.func

@@ -49,7 +49,7 @@ def run_exact_scales(trial: Trial) -> None:
     """Compare real-time frames of the room and of ones scaled by powers of two."""
     amount = amounts(trial, Integrator.REALTIME)
     expected = trial.render(room(SIZE), Integrator.REALTIME, amount, SIZE, cache={"minimum_cell": SMALLEST_CELL})
-    for scale in trial.choose(EXACT_SCALES[3:], EXACT_SCALES):
+    for scale in trial.choose(EXACT_SCALES[::3], EXACT_SCALES):
         scene = scaled_and_moved(room(SIZE), scale)
         compare(trial, f"scale {scale:g}", expected, scene, Integrator.REALTIME, amount,
                 cache={"minimum_cell": SMALLEST_CELL * scale})

@@ -15,6 +15,7 @@ from burnish.addon import cli
 from burnish.addon import stress as command
 from burnish.engine import stress
 from burnish.engine.errors import InvalidScene
+from burnish.engine.image_error import compare
 from burnish.engine.settings import Device, Integrator
 from burnish.engine.stress import cases, fuzz, scenes, tables
 from burnish.engine.stress.cases import Case, Trial, run_case
@@ -51,6 +52,16 @@ def test_quick_case(trial, case):
     result = run_case(trial, case)
     assert result.passed, "\n".join(result.missed + result.notes)
     assert result.pictures > 0
+
+
+@pytest.mark.parametrize("scale", [2.0**-10, 2.0**-5])
+def test_small_scenes_look_the_same(trial, scale):
+    """Draw a scene of millimetres as one of metres: no length in the kernels is an absolute one."""
+    amounts = {"integrator": Integrator.REALTIME, "amount": 24, "size": (48, 32)}
+    expected = trial.render(scenes.room((48, 32)), **amounts, cache={"minimum_cell": 2.0**-6})
+    small = scenes.scaled_and_moved(scenes.room((48, 32)), scale)
+    picture = trial.render(small, **amounts, cache={"minimum_cell": 2.0**-6 * scale})
+    assert compare(expected, picture).flip < 0.002
 
 
 def test_random_scenes(trial):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.kernels import probe_blend, probe_map, probe_spawn
+from burnish.kernels import probe_blend, probe_map, probe_rays, probe_spawn
 from burnish.kernels.geometry_math import to_frame
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -66,6 +66,18 @@ def round_halves(
 ):
     i = wp.tid()
     half_out[i] = probe_blend.dithered_half(value, probe_blend.hash32(wp.uint32(i)))
+
+
+@wp.kernel
+def mean_distances(
+    # In:
+    near: wp.array[float], far: wp.array[float], share: float,
+    # Out:
+    means_out: wp.array[float],
+):
+    i = wp.tid()
+    means_out[i] = probe_rays.distance_of(wp.lerp(
+        probe_rays.inverse_distance(near[i]), probe_rays.inverse_distance(far[i]), share))
 
 
 @wp.kernel
@@ -196,3 +208,16 @@ def test_distance_across_a_surface():
     arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu") for x in (top, top, layer)]
     (found,) = run(measure_layers, 3, arrays, [float])
     assert found == pytest.approx(np.full(3, 0.12), rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", [2.0**-10, 1.0, 2.0**10])
+def test_distances_scale(scale):
+    """Average distances alike at any scale, however near; the sky has none, and among nothing else stays the sky."""
+    sky = float(probe_rays.MISS_DISTANCE)
+    near = np.array([3.0e-3, 0.1, 4.0, 4.0]) * scale
+    far = np.array([6.0e-3, 0.1, 12.0, sky / scale]) * scale
+    means, = run(mean_distances, 4, [wp.array(near, dtype=float), wp.array(far, dtype=float), 0.25], [float])
+    np.testing.assert_allclose(means, np.array([3.428571e-3, 0.1, 4.8, 4.0 / 0.75]) * scale, rtol=1e-5)
+    skies = wp.array([sky], dtype=float)
+    only, = run(mean_distances, 1, [skies, skies, 0.25], [float])
+    assert only[0] == pytest.approx(sky)
