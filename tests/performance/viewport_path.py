@@ -41,8 +41,8 @@ from tests.performance.measured_session import attempt, settings_for  # noqa: E4
 PATIENCE = 120.0
 """Seconds to wait for a picture"""
 
-WARM_UP = 24
-"""Moves before those that are measured: histories fill, and the frame's records are made"""
+WARM_UP = 144
+"""Moves before those that are measured: histories fill, light settles, and the frame's records are made"""
 
 TRIANGLES = 20000
 """Of the object that is moved, at most"""
