@@ -58,9 +58,9 @@ def build_light_tree(low: np.ndarray, high: np.ndarray, power: np.ndarray) -> Li
     center = 0.5 * (np.asarray(low, np.float64) + high)
     # Cubes: lights in a plane would else be sorted by rounding errors across it first. Rounded to the nearest, so that
     # lights in the midst of each other stay in their order however the scene is scaled.
-    extent = max((center.max(0) - center.min(0)).max(), 1e-30) if count else 1.0
-    cells = np.minimum(np.rint((center - center.min(0)) / extent * (1 << 20)), (1 << 20) - 1) if count else center
-    code = sum(_spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3)) if count else np.zeros(0)
+    offset = center - center.min(0, initial=np.inf)
+    cells = np.minimum(np.rint(offset / offset.max(initial=1e-30) * (1 << 20)), (1 << 20) - 1)
+    code = sum(_spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3))
     order = np.argsort(code, kind="stable")
     bounds_low = np.full((2 * leaves, 3), np.inf)
     bounds_high = np.full((2 * leaves, 3), -np.inf)

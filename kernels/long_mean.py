@@ -11,7 +11,7 @@ import warp as wp
 
 from .gbuffer import GBuffer
 from .packing import HALF_MAX
-from .reprojection import MOVED, has_tap
+from .reprojection import has_moved, has_tap
 from .wide_loads import load_four_floats, load_two_floats, load_two_words, load_word
 
 # Brings 2^-47..2^16 down to where the exponent of float32 has its two upper bits 0, and back.
@@ -234,7 +234,7 @@ def only_camera_moved(position: wp.vec2, taps: wp.uint8) -> bool:
 
     Of Reprojection, for one pixel; not so where nothing has moved.
     """
-    return (taps & MOVED) == wp.uint8(0) and off_centre(position)
+    return not has_moved(taps) and off_centre(position)
 
 
 @wp.func

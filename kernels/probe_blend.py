@@ -13,7 +13,7 @@ import warp as wp
 
 from .geometry_math import is_finite3, luminance
 from .packing import HALF_MAX, from_half, rgb, rgba
-from .probe_rays import LEAST_DISTANCE, MISS_DISTANCE, ProbeRays, distance_of, inverse_distance
+from .probe_rays import ProbeRays, distance_of, inverse_distance
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
 from .sampling import hash32, hash_combine
 from .view import View
@@ -54,8 +54,8 @@ def counted_radiance(rays: ProbeRays, ray: int) -> wp.vec3:
 
 
 @wp.func
-def counted_distance(rays: ProbeRays, ray: int) -> float:
-    """Return one over how far a ray went [m]."""
+def counted_inverse(rays: ProbeRays, ray: int) -> float:
+    """Return one over how far a ray went [1/m], 0 where that is not finite."""
     t = load_vec4(rays.radiance, ray)[3]
     if not wp.isfinite(t):
         return 0.0
@@ -108,7 +108,7 @@ def store(value: wp.vec3, distance: float, seed: wp.uint32) -> wp.vec4h:
     b = hash32(a)
     return wp.vec4h(
         dithered_half(value[0], a), dithered_half(value[1], a >> wp.uint32(16)), dithered_half(value[2], b),
-        wp.float16(wp.clamp(distance, LEAST_DISTANCE, MISS_DISTANCE)))
+        wp.float16(distance))
 
 
 @wp.kernel
@@ -173,7 +173,7 @@ def detect_changes(
 
 @wp.func
 def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4:
-    """Return the mean radiance of a probe's rays, each weighed by what it stands for, and their mean distance."""
+    """Return the mean radiance of a probe's rays, each weighed by what it stands for; w = mean inverse distance [1/m]."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     weight = float(0.0)
     k = int(0)
@@ -185,12 +185,12 @@ def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4
             cell = cell_at(cells, i)
             w = wp.where(
                 cell == NO_CELL, 0.0, 1.0 / updates.expected[update * CELLS + wp.min(cell, CELLS - 1)])
-            total = total + rgba(counted_radiance(rays, index), counted_distance(rays, index)) * w
+            total = total + rgba(counted_radiance(rays, index), counted_inverse(rays, index)) * w
             weight = weight + w
         k = k + 1
     if weight == 0.0:
-        return wp.vec4(0.0, 0.0, 0.0, MISS_DISTANCE)
-    return rgba(rgb(total) / weight, distance_of(total[3] / weight))
+        return total
+    return total / weight
 
 
 @wp.func
@@ -256,7 +256,7 @@ def blend_rays(
         while marks != wp.uint64(0):
             i = update * CELLS + 8 * k + first_ray(marks)
             marks = marks & (marks - wp.uint64(1))
-            total = total + rgba(counted_radiance(rays, i), counted_distance(rays, i))
+            total = total + rgba(counted_radiance(rays, i), counted_inverse(rays, i))
             found = found + 1.0
         k = k + 1
     known = before[3] > 0.0
@@ -288,7 +288,7 @@ def blend_rays(
         # Of a probe that became lighter nobody knows in which cells.
         step = wp.where(known, 1.0 - 1.0 / wp.max(updates.change[update], 1.0), 1.0)
         value = wp.lerp(value, rgb(mean), step)
-        inverse = wp.lerp(inverse, inverse_distance(mean[3]), step)
+        inverse = wp.lerp(inverse, mean[3], step)
     noise = hash_combine(wp.uint32(slot * CELLS + cell), wp.uint32(views[0].frame))
     store_vec4h(pool_out.radiance, slot * CELLS + cell, store(value, distance_of(inverse), noise))
     if cell == 0:

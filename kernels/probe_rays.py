@@ -10,8 +10,7 @@ from .probe_types import FAR
 # Distance [m] given for rays that leave the scene: fits a half-float, and means "a direction only".
 MISS_DISTANCE = wp.constant(6.0e4)
 
-
-# Least distance that is told apart from none.
+# Least distance [m]: as a half-float it still is above 0, which stands for what is not known.
 LEAST_DISTANCE = wp.constant(1.0e-7)
 
 

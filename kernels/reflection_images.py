@@ -53,7 +53,7 @@ def mirror_before(
     """Return where a pixel's surface was; of one that has moved as the frame before shows it around its place."""
     out = MirrorBefore()
     view = load_previous_view(views)
-    if not has_moved(reprojection, pixel):
+    if not has_moved(reprojection.taps[pixel]):
         out.position = unproject(
             view.camera, film_position(view, pixel % width, pixel // width), gbuffer.depth[pixel])
         out.normal = unit_normal(gbuffer.normal[pixel])

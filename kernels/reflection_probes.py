@@ -19,7 +19,7 @@ from .packing import from_half, pack_normal, rgb, rgba
 from .probe_gather import REAIM_COSINE, UNKNOWN, neighbour_tile
 from .probe_interpolate import REACH, Place, bare_place, record_weight
 from .probe_map import cell_of, hemisphere_to_square, to_local
-from .probe_rays import distance_of, inverse_distance
+from .probe_rays import LEAST_DISTANCE, distance_of, inverse_distance
 from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER
 from .probe_types import CELLS, FAR, TILE, ProbeGrid, ProbePool
 from .reflection_rays import sequence_index, sequence_seed
@@ -78,7 +78,7 @@ def smooth_value(maps: wp.array[wp.uint64], slot: int, local: wp.vec3) -> wp.vec
 
 @wp.func
 def aimed_value(maps: wp.array[wp.uint64], slot: int, offset: wp.vec3, local: wp.vec3) -> wp.vec4:
-    """Return exposed radiance and inverse distance that arrive from a direction at a place beside a probe.
+    """Return exposed radiance and distance that arrive from a direction at a place beside a probe.
 
     The point seen from there is found as in probe_gather.aimed_radiance; where that fails, the probe tells what it
     sees in the direction itself.
@@ -113,7 +113,7 @@ def aimed_value(maps: wp.array[wp.uint64], slot: int, offset: wp.vec3, local: wp
     distance = distance_of(value[3])
     if distance < FAR:
         distance = wp.length(aim * distance - offset)
-    return rgba(rgb(value), inverse_distance(distance))
+    return rgba(rgb(value), wp.max(distance, LEAST_DISTANCE))
 
 
 @wp.func
@@ -165,8 +165,7 @@ def arriving_light(
                         rest = (rest - share) / (1.0 - share)
     if chosen < 0:
         return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    light = aimed_value(maps, chosen, offset, aim)
-    return rgba(rgb(light), distance_of(light[3]))
+    return aimed_value(maps, chosen, offset, aim)
 
 
 @wp.func

@@ -231,7 +231,7 @@ def gather_sources(
     # At rest both places are one. Of a mirror that moved and was not seen before nothing is known, nor how glass that
     # moves bends light.
     twofold = views[0].rest == 0 and prefer > 0.0
-    if has_moved(reprojection, pixel) and (taps == wp.uint8(0) or not reflects):
+    if has_moved(reprojection.taps[pixel]) and (taps == wp.uint8(0) or not reflects):
         twofold = False
     sharp = roughness < SHARP_ROUGHNESS
     surface = gather_reflection(history, previous, position, taps, pixel, sharp, width, options.height, 0.0)

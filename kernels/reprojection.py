@@ -33,9 +33,9 @@ def known_taps(reprojection: Reprojection, pixel: int) -> wp.uint8:
 
 
 @wp.func
-def has_moved(reprojection: Reprojection, pixel: int) -> bool:
-    """Return whether a pixel's surface has moved itself."""
-    return (reprojection.taps[pixel] & MOVED) != wp.uint8(0)
+def has_moved(taps: wp.uint8) -> bool:
+    """Return whether a pixel's surface has moved itself, by its entry of Reprojection.taps."""
+    return (taps & MOVED) != wp.uint8(0)
 
 
 @wp.func

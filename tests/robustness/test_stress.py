@@ -17,7 +17,7 @@ from burnish.engine import stress
 from burnish.engine.errors import InvalidScene
 from burnish.engine.image_error import compare
 from burnish.engine.settings import Device, Integrator
-from burnish.engine.stress import cases, fuzz, scenes, tables
+from burnish.engine.stress import cases, fuzz, invariance, scenes, tables
 from burnish.engine.stress.cases import Case, Trial, run_case
 from hypothesis import strategies
 
@@ -57,10 +57,10 @@ def test_quick_case(trial, case):
 @pytest.mark.parametrize("scale", [2.0**-10, 2.0**-5])
 def test_small_scenes_look_the_same(trial, scale):
     """Draw a scene of millimetres as one of metres: no length in the kernels is an absolute one."""
-    amounts = {"integrator": Integrator.REALTIME, "amount": 24, "size": (48, 32)}
-    expected = trial.render(scenes.room((48, 32)), **amounts, cache={"minimum_cell": 2.0**-6})
-    small = scenes.scaled_and_moved(scenes.room((48, 32)), scale)
-    picture = trial.render(small, **amounts, cache={"minimum_cell": 2.0**-6 * scale})
+    room, amounts = scenes.room(invariance.SIZE), (Integrator.REALTIME, 24, invariance.SIZE)
+    expected = trial.render(room, *amounts, cache={"minimum_cell": invariance.SMALLEST_CELL})
+    small = scenes.scaled_and_moved(room, scale)
+    picture = trial.render(small, *amounts, cache={"minimum_cell": invariance.SMALLEST_CELL * scale})
     assert compare(expected, picture).flip < 0.002
 
 
