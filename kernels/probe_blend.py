@@ -173,7 +173,7 @@ def detect_changes(
 
 @wp.func
 def mean_of_rays(updates: ProbeUpdates, rays: ProbeRays, update: int) -> wp.vec4:
-    """Return the mean radiance of a probe's rays, each weighed by what it stands for; w = mean inverse distance [1/m]."""
+    """Return the mean radiance of a probe's rays, weighed by what it stands for; w = mean inverse distance [1/m]."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     weight = float(0.0)
     k = int(0)
