@@ -97,8 +97,10 @@ _TRAVERSE = """
         b = axis == 0 ? z : (axis == 1 ? x : y);
         c = axis == 0 ? x : (axis == 1 ? y : z);
     };
-    float sx, sy, sz;
+    float sx, sy, sz, oa, ob, oc;
     turned(dx, dy, dz, sx, sy, sz);
+    turned(ox, oy, oz, oa, ob, oc);
+    const int ka = axis == 2 ? 0 : axis + 1, kb = axis == 0 ? 2 : axis - 1;
     sz = 1.0f / sz;
     sx = sx * sz;
     sy = sy * sz;
@@ -133,27 +135,7 @@ _TRAVERSE = """
             const float by = (as_float(n0.y) - oy) * iy;
             const float bz = (as_float(n0.z) - oz) * iz;
             unsigned int hits = 0u;
-BYTE_SETUP
-            auto test_four = [&](unsigned int meta, unsigned int low_x, unsigned int low_y, unsigned int low_z,
-                                 unsigned int high_x, unsigned int high_y, unsigned int high_z) {
-                const unsigned int inner = ((meta & (meta << 1)) & 0x10101010u) >> 4;
-                const unsigned int shift4 = (meta ^ ((inverse_octant * 0x01010101u) & (inner * 255u))) & 0x1f1f1f1fu;
-                const unsigned int bits4 = (meta >> 5) & 0x07070707u;
-                const unsigned int near_x = nx ? high_x : low_x, far_x = nx ? low_x : high_x;
-                const unsigned int near_y = ny ? high_y : low_y, far_y = ny ? low_y : high_y;
-                const unsigned int near_z = nz ? high_z : low_z, far_z = nz ? low_z : high_z;
-                #pragma unroll
-                for (int k = 0; k < 4; ++k) {
-                    const float t0 = most(most(fmaf(byte_of(near_x, k), gx, hx), fmaf(byte_of(near_y, k), gy, hy)),
-                                           most(fmaf(byte_of(near_z, k), gz, hz), 0.0f));
-                    const float t1 = least(least(fmaf(byte_of(far_x, k), gx, hx), fmaf(byte_of(far_y, k), gy, hy)),
-                                           least(fmaf(byte_of(far_z, k), gz, hz), best_t));
-                    if (t0 <= t1 * 1.0000005f)
-                        hits |= ((bits4 >> (8 * k)) & 0xffu) << ((shift4 >> (8 * k)) & 0xffu);
-                }
-            };
-            test_four(n1.z, n2.x, n2.z, n3.x, n3.z, n4.x, n4.z);
-            test_four(n1.w, n2.y, n2.w, n3.y, n3.w, n4.y, n4.w);
+TEST_BOXES
             group_base = n1.x;
             group = (hits & 0xff000000u) | (n0.w >> 24);
             triangle_base = n1.y;
@@ -167,13 +149,27 @@ BYTE_SETUP
 POSTPONE            const int bit = highest_bit(leaves);
             leaves &= ~(1u << bit);
             const unsigned int row = 3u * (triangle_base + bit);
+            float px, py, pz, qx, qy, qz, rx, ry, rz;
+#ifdef __CUDA_ARCH__
             const Row r0 = load(triangle_words, row);
             const Row r1 = load(triangle_words, row + 1u);
             const Row r2 = load(triangle_words, row + 2u);
-            float px, py, pz, qx, qy, qz, rx, ry, rz;
             turned(as_float(r0.x) - ox, as_float(r0.y) - oy, as_float(r0.z) - oz, px, py, pz);
             turned(as_float(r1.x) - ox, as_float(r1.y) - oy, as_float(r1.z) - oz, qx, qy, qz);
             turned(as_float(r2.x) - ox, as_float(r2.y) - oy, as_float(r2.z) - oz, rx, ry, rz);
+#define FACE_WORD r0.w
+#define OPACITY_WORD r1.w
+#define MAP_WORD r2.w
+#else
+            // Loads in the turned order.
+            const wp::uint32* corners = triangle_words + 4 * (size_t)row;
+            px = as_float(corners[ka]) - oa; py = as_float(corners[kb]) - ob; pz = as_float(corners[axis]) - oc;
+            qx = as_float(corners[4 + ka]) - oa; qy = as_float(corners[4 + kb]) - ob; qz = as_float(corners[4 + axis]) - oc;
+            rx = as_float(corners[8 + ka]) - oa; ry = as_float(corners[8 + kb]) - ob; rz = as_float(corners[8 + axis]) - oc;
+#define FACE_WORD corners[3]
+#define OPACITY_WORD corners[7]
+#define MAP_WORD corners[11]
+#endif
             px = fmaf(-sx, pz, px); py = fmaf(-sy, pz, py);
             qx = fmaf(-sx, qz, qx); qy = fmaf(-sy, qz, qy);
             rx = fmaf(-sx, rz, rx); ry = fmaf(-sy, rz, ry);
@@ -200,18 +196,61 @@ POSTPONE            const int bit = highest_bit(leaves);
     }
 """
 
-# Bytes as the mantissa of a number in [1, 1.008): permutations run at a higher rate than conversions. The rounding of
-# the larger slope and offset errs by 0.002 quanta.
-_BYTES = """
+# A device's thread tests the children one by one, with bytes as the mantissa of a number in [1, 1.008): permutations run
+# at a higher rate than conversions. The rounding of the larger slope and offset errs by 0.002 quanta. A processor tests
+# all eight at once, in the vectors that it has.
+_TEST_BOXES = """
 #ifdef __CUDA_ARCH__
             const float gx = 32768.0f * ax, gy = 32768.0f * ay, gz = 32768.0f * az;
             const float hx = bx - gx, hy = by - gy, hz = bz - gz;
             auto byte_of = [](unsigned int word, int k) -> float {
                 return __uint_as_float(__byte_perm(word, 0x3f800000u, 0x7604u | (unsigned int)(k << 4)));
             };
+            auto test_four = [&](unsigned int meta, unsigned int low_x, unsigned int low_y, unsigned int low_z,
+                                 unsigned int high_x, unsigned int high_y, unsigned int high_z) {
+                const unsigned int inner = ((meta & (meta << 1)) & 0x10101010u) >> 4;
+                const unsigned int shift4 = (meta ^ ((inverse_octant * 0x01010101u) & (inner * 255u))) & 0x1f1f1f1fu;
+                const unsigned int bits4 = (meta >> 5) & 0x07070707u;
+                const unsigned int near_x = nx ? high_x : low_x, far_x = nx ? low_x : high_x;
+                const unsigned int near_y = ny ? high_y : low_y, far_y = ny ? low_y : high_y;
+                const unsigned int near_z = nz ? high_z : low_z, far_z = nz ? low_z : high_z;
+                #pragma unroll
+                for (int k = 0; k < 4; ++k) {
+                    const float t0 = most(most(fmaf(byte_of(near_x, k), gx, hx), fmaf(byte_of(near_y, k), gy, hy)),
+                                           most(fmaf(byte_of(near_z, k), gz, hz), 0.0f));
+                    const float t1 = least(least(fmaf(byte_of(far_x, k), gx, hx), fmaf(byte_of(far_y, k), gy, hy)),
+                                           least(fmaf(byte_of(far_z, k), gz, hz), best_t));
+                    if (t0 <= t1 * 1.0000005f)
+                        hits |= ((bits4 >> (8 * k)) & 0xffu) << ((shift4 >> (8 * k)) & 0xffu);
+                }
+            };
+            test_four(n1.z, n2.x, n2.z, n3.x, n3.z, n4.x, n4.z);
+            test_four(n1.w, n2.y, n2.w, n3.y, n3.w, n4.y, n4.w);
 #else
-            const float gx = ax, gy = ay, gz = az, hx = bx, hy = by, hz = bz;
-            auto byte_of = [](unsigned int word, int k) -> float { return (float)((word >> (8 * k)) & 0xffu); };
+            typedef unsigned char Bytes __attribute__((vector_size(8)));
+            typedef unsigned int Words __attribute__((vector_size(32)));
+            typedef float Floats __attribute__((vector_size(32)));
+            const wp::uint32* node_start = node_words + 20 * (size_t)node;
+            auto bytes_at = [&](unsigned int word) -> Bytes {
+                Bytes bytes;
+                __builtin_memcpy(&bytes, node_start + word, 8);
+                return bytes;
+            };
+            auto planes = [&](unsigned int word, float slope, float offset) -> Floats {
+                return __builtin_elementwise_fma(__builtin_convertvector(bytes_at(word), Floats), Floats{} + slope, Floats{} + offset);
+            };
+            const Floats near_x = planes(nx ? 14u : 8u, ax, bx), far_x = planes(nx ? 8u : 14u, ax, bx);
+            const Floats near_y = planes(ny ? 16u : 10u, ay, by), far_y = planes(ny ? 10u : 16u, ay, by);
+            const Floats near_z = planes(nz ? 18u : 12u, az, bz), far_z = planes(nz ? 12u : 18u, az, bz);
+            const Floats zero = {0.0f}, farthest = zero + best_t;
+            const Floats near_xy = near_x > near_y ? near_x : near_y, near_z0 = near_z > zero ? near_z : zero;
+            const Floats far_xy = far_x < far_y ? far_x : far_y, far_zt = far_z < farthest ? far_z : farthest;
+            const Floats t0 = near_xy > near_z0 ? near_xy : near_z0, t1 = far_xy < far_zt ? far_xy : far_zt;
+            const Words meta = __builtin_convertvector(bytes_at(6u), Words);
+            const Words inner = (meta & (meta << 1)) & 0x10u;
+            const Words shift = (meta ^ (inner != 0u ? Words{} + inverse_octant : Words{})) & 0x1fu;
+            const Words bits = ((meta >> 5) << shift) & (Words)(t0 <= t1 * 1.0000005f);
+            hits = __builtin_reduce_or(bits);
 #endif
 """
 # Leaves wait on the stack while few of the warp's rays have one.
@@ -223,7 +262,7 @@ _POSTPONE = """
             }
 #endif
 """
-_FACE = "(int)r0.w"
+_FACE = "(int)FACE_WORD"
 _CLOSEST = """best_t = t;
                     best_u = u * scale;
                     best_v = v * scale;
@@ -231,19 +270,19 @@ _CLOSEST = """best_t = t;
 _RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_key))"
 
 # The key of a layer tells faces apart as the face does, its lowest bit whether the map says that it is solid.
-_LAYER_KEY = "2 * (int)r0.w"
-_LAYER = """unsigned int opacity = r1.w >> 30;
+_LAYER_KEY = "2 * (int)FACE_WORD"
+_LAYER = """unsigned int opacity = OPACITY_WORD >> 30;
                     if (opacity == 3u) {
                         float a = u * scale, b = v * scale, c = 1.0f - a - b;
                         unsigned int micro = 0u;
-                        for (unsigned int level = r1.w & 15u; level != 0u; --level) {
+                        for (unsigned int level = OPACITY_WORD & 15u; level != 0u; --level) {
                             a += a; b += b; c += c;
                             if (a >= 1.0f) { a -= 1.0f; micro = 4u * micro; }
                             else if (b >= 1.0f) { b -= 1.0f; micro = 4u * micro + 1u; }
                             else if (c >= 1.0f) { c -= 1.0f; micro = 4u * micro + 2u; }
                             else { a = 1.0f - a; b = 1.0f - b; c = 1.0f - c; micro = 4u * micro + 3u; }
                         }
-                        opacity = (load_word(triangle_words, r2.w + (micro >> 4)) >> (2u * (micro & 15u))) & 3u;
+                        opacity = (load_word(triangle_words, MAP_WORD + (micro >> 4)) >> (2u * (micro & 15u))) & 3u;
                     }
                     """
 _CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
@@ -264,7 +303,7 @@ _SHADOW_LAYER = _LAYER + """if (opacity == 2u)
 
 def _source(found: str, result: str, postpone: str, waiting: int, key: str = _FACE) -> str:
     """Return the native source of a query."""
-    text = _TRAVERSE.replace("BYTE_SETUP\n", _BYTES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
+    text = _TRAVERSE.replace("TEST_BOXES\n", _TEST_BOXES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"
 

@@ -21,7 +21,7 @@ from ...kernels import path_lists, tracing
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, FrameData
 from ..device import launch, record
-from ..work_list import FEW_THREADS, LISTED_THREADS, ONCE, make_queue
+from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
 
 __all__ = ["Step", "Wavefront", "make_paths"]
 
@@ -153,17 +153,16 @@ class Wavefront:
         if self.cuda:
             self._run_graph(name, kept[1])
             return True
-        living, half = total, 0
+        living, half, counts = total, 0, self._counts.numpy()
         while living:
             begin, *steps = kept[1][half]
             begin.launch()
             for command in steps:
-                command.set_dim(living)
                 command.launch()
             if should_stop():
                 return False
             half = 1 - half
-            living = int(self._counts.numpy()[half])
+            living = int(counts[half])
         return True
 
     def _run_graph(self, name: str, halves: tuple[list[wp.Launch], ...]) -> None:
@@ -202,7 +201,8 @@ class Wavefront:
         commands = [begin]
         for step in steps:
             work = int(places[step.over])
-            threads = ONCE
+            # On the processor one thread takes all: each would read the scene's array descriptors anew.
+            threads = 1
             if self.cuda:
                 threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
             outputs = [*([self.paths] if step.changes else []), *step.outputs]
@@ -211,5 +211,5 @@ class Wavefront:
                 outputs += [self._queue(filled), self._counts[filled : filled + 1]]
             commands.append(record(
                 step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
-                self.device, threads if self.cuda else 1))
+                self.device, threads))
         return commands
