@@ -30,6 +30,8 @@ GUIDE_SAMPLES = 8, 64
 """Fewest and most jittered first hits a pixel that the guides are averaged of: between, doubled with the samples of the
 picture and at most a quarter of them, beside which they take little time. With fewer than the most the guides are
 denoised themselves: their noise at edges and behind veils would be taken for texture"""
+PROCESSOR_GUIDES = 2
+"""Fewest on the processor: eight take as long there as a sample of the picture, which is worth ten times as much"""
 MIRRORS = 4
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
@@ -72,7 +74,7 @@ class FinalDenoise:
             samples: How many the picture has, or frames.
         """
         fewest, most = GUIDE_SAMPLES
-        wanted = fewest
+        wanted = fewest if tracer.cuda else PROCESSOR_GUIDES
         while 2 * wanted <= min(samples // 4, most):
             wanted *= 2
         if self._guides is None or self._guide_samples < wanted:

@@ -166,6 +166,7 @@ def test_guides_of_few_samples_are_denoised_once(monkeypatch):
     monkeypatch.setattr(final_denoise.oidn, "denoise", filtered)
     made = open_session(Integrator.REFERENCE)
     monkeypatch.setattr(final_denoise, "GUIDE_SAMPLES", (1, 4))
+    monkeypatch.setattr(final_denoise, "PROCESSOR_GUIDES", 1)
     for more in (3, 1, 4, 8):  # Guides of 1 for up to 7 samples, 2 for 8, 4 for 16.
         made.step(more)
         made.read_denoised(None)
