@@ -4,8 +4,8 @@
 A round is a list of steps, each a kernel over one of the lists of kernels/path_lists.py. On CUDA two rounds are the
 body of a loop in a graph that runs without the host: the number of living paths stays on the device, every launch has
 the same size, and threads take further elements of their list. Small batches would wait for launches and counts
-otherwise: a path in a white room lives for dozens of rounds. On the processor a round's launches are as large as its
-list, on the calling thread.
+otherwise: a path in a white room lives for dozens of rounds. On the processor one thread of a launch, the calling one,
+takes its whole list, and empty lists have no launch.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Wavefront:
         self._all = make_queue(capacity, device)
         self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
         self._queues: dict[int, wp.array] = {}
-        self._records: dict[str, tuple[tuple, tuple[list[wp.Launch], ...]]] = {}
+        self._records: dict[str, tuple[tuple, tuple[list[tuple[int, wp.Launch]], ...]]] = {}
         self._graphs: dict[str, wp.Graph] = {}
 
     @property
@@ -155,23 +155,24 @@ class Wavefront:
             return True
         living, half, counts = total, 0, self._counts.numpy()
         while living:
-            begin, *steps = kept[1][half]
+            (_, begin), *steps = kept[1][half]
             begin.launch()
-            for command in steps:
-                command.launch()
+            for place, command in steps:
+                if counts[place]:
+                    command.launch()
             if should_stop():
                 return False
             half = 1 - half
             living = int(counts[half])
         return True
 
-    def _run_graph(self, name: str, halves: tuple[list[wp.Launch], ...]) -> None:
+    def _run_graph(self, name: str, halves: tuple[list[tuple[int, wp.Launch]], ...]) -> None:
         """Run the loop, captured when it is first asked for; where drivers know no loops, round by round."""
         living = self._counts[0:1]
 
         def body() -> None:
             for commands in halves:
-                for command in commands:
+                for _, command in commands:
                     command.launch()
 
         graph, looped = self._graphs.get(name), wp.is_conditional_graph_supported()
@@ -193,12 +194,15 @@ class Wavefront:
             self._queues[place] = wp.zeros(self.capacity, dtype=int, device=self.device)
         return self._queues[place]
 
-    def _record(self, steps: list[Step], half: int, limit: int) -> list[wp.Launch]:
-        """Record a round whose living paths are in list `half`; those that go on come into the other."""
+    def _record(self, steps: list[Step], half: int, limit: int) -> list[tuple[int, wp.Launch]]:
+        """Record a round whose living paths are in list `half`; those that go on come into the other.
+
+        Each launch comes with the list that it works on.
+        """
         places = LISTS | {"living": path_lists.LIVING + half, "next": path_lists.LIVING + 1 - half}
         begin = record(
             path_lists.start_round, [half, limit], [self._counts, self.rounds, self._rays], self.device)
-        commands = [begin]
+        commands = [(int(path_lists.LIVING) + half, begin)]
         for step in steps:
             work = int(places[step.over])
             # On the processor one thread takes all: each would read the scene's array descriptors anew.
@@ -209,7 +213,7 @@ class Wavefront:
             for name in step.fills:
                 filled = int(places[name])
                 outputs += [self._queue(filled), self._counts[filled : filled + 1]]
-            commands.append(record(
+            commands.append((work, record(
                 step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
-                self.device, threads))
+                self.device, threads)))
         return commands
