@@ -29,6 +29,9 @@ LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "
          "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS}
 """Beside "living", the list of each round"""
 
+PROCESSOR_THREADS = 1
+"""Of a launch on the processor: each would read the array descriptors of the scene anew"""
+
 
 @dataclass
 class Step:
@@ -205,8 +208,7 @@ class Wavefront:
         commands = [(int(path_lists.LIVING) + half, begin)]
         for step in steps:
             work = int(places[step.over])
-            # On the processor one thread takes all: each would read the scene's array descriptors anew.
-            threads = 1
+            threads = PROCESSOR_THREADS
             if self.cuda:
                 threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
             outputs = [*([self.paths] if step.changes else []), *step.outputs]

@@ -38,23 +38,33 @@ def test_both_machines_shade_alike():
     assert np.allclose(lean, full, rtol=0 if exact else 1e-2, atol=0 if exact else 1e-3)
 
 
-def test_few_threads_work_off_long_lists(monkeypatch):
-    """Trace the same paths where threads take many elements of each list, as on CUDA."""
+def test_threads_share_a_list(monkeypatch):
+    """Trace the same paths whether one thread of a launch works a list off or five take turns, as many do on CUDA."""
     expected, rays = rendered()
-
-    def strided(kernel, inputs, outputs, device, count=1):
-        """Launch five threads for what is launched with one an element."""
-        if wavefront.ONCE not in inputs:
-            return record(kernel, inputs, outputs, device, count)
-        command = record(kernel, [5 if value is wavefront.ONCE else value for value in inputs], outputs, device, 5)
-        command.set_dim = lambda dim: None
-        return command
-
     if choose_device(scenes.SETTINGS.device) != "cpu":
-        pytest.skip("there all lists are worked off so")
-    monkeypatch.setattr(wavefront, "record", strided)
+        pytest.skip("there many share all lists")
+    monkeypatch.setattr(wavefront, "PROCESSOR_THREADS", 5)
     found, found_rays = rendered()
     assert found_rays == rays and np.array_equal(found, expected)
+
+
+def test_empty_lists_have_no_launch(monkeypatch):
+    """Launch nothing over lists that no path is in."""
+    if choose_device(scenes.SETTINGS.device) != "cpu":
+        pytest.skip("there only the device knows")
+    launched = []
+
+    def noted(kernel, inputs, outputs, device, count=1):
+        command = record(kernel, inputs, outputs, device, count)
+        real = command.launch
+        command.launch = lambda: (launched.append(kernel.key), real())
+        return command
+
+    monkeypatch.setattr(wavefront, "record", noted)
+    rendered(samples=1)
+    lean, full = launched.count("shade_lean_paths"), launched.count("evaluate_materials")
+    # The coated ball, which alone needs the full machine, is seen in the first rounds only.
+    assert lean > full > 0 and launched.count("trace_flat_paths") == launched.count("start_round")
 
 
 @pytest.mark.parametrize(("width", "height", "samples"), [(24, 16, 1), (13, 9, 2), (7, 3, 1), (8, 20, 3), (1, 5, 1)])
