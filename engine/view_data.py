@@ -26,7 +26,7 @@ class ViewTracker:
         self.array, self.row = self._staged.array, self._staged.row
         self.frame = -1
         self.rest = -1
-        self.light_age = LONG_AGO
+        self.light_age = self.moved_age = LONG_AGO
         self.moved = False
         """Whether something but the camera has moved since the frame before"""
         self._camera: np.ndarray | None = None
@@ -35,7 +35,7 @@ class ViewTracker:
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
         self.frame = self.rest = -1
-        self.light_age = LONG_AGO
+        self.light_age = self.moved_age = LONG_AGO
         self._camera = None
 
     @property
@@ -70,6 +70,7 @@ class ViewTracker:
         self.rest = self.rest + 1 if still else 0
         # The first frame knows no light of before that would have to be forgotten.
         self.light_age = 0 if lit and not first else min(self.light_age + 1, LONG_AGO)
+        self.moved_age = 0 if moved and not first else min(self.moved_age + 1, LONG_AGO)
         self.moved = moved
         jitter = np.zeros(2, np.float32)
         if filter_quantiles is not None:
@@ -80,6 +81,6 @@ class ViewTracker:
         row["previous"] = camera if first else self._camera
         row["jitter"], row["previous_jitter"] = jitter, jitter if first else self._jitter
         row["frame"], row["rest"], row["light_age"], row["restart"] = self.frame, self.rest, self.light_age, int(first)
-        row["exposure"], row["transparent"] = exposure, int(transparent)
+        row["exposure"], row["transparent"], row["moved_age"] = exposure, int(transparent), self.moved_age
         self._staged.send()
         self._camera, self._jitter = camera.copy(), jitter

@@ -38,7 +38,7 @@ from .long_mean import (
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .reprojection import Reprojection, has_tap, known_taps, tap_pixel
-from .view import SKY_DEPTH, View
+from .view import MOVED_FRAMES, SKY_DEPTH, View
 from .wide_loads import load_view, load_word
 
 # Fast: means and weights need no division that is exact to the last bit.
@@ -50,6 +50,8 @@ FAST_FRAMES = wp.constant(5.0)
 SPATIAL_FRAMES = wp.constant(4.0)
 # What a mean's length keeps of itself in a frame without a sample after an edit: the next sample makes up for it.
 SKIPPED_SHARE = wp.constant(0.25)
+# Frames that a mean counts for once a sudden change has been added to it (direct_change.py).
+CHANGED_FRAMES = wp.constant(2.0)
 # Frames that the deviation is averaged over at most: more would be lost in a half-float's rounding.
 DEVIATION_FRAMES = wp.constant(256.0)
 
@@ -202,6 +204,22 @@ def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, cap: float) -
     return out
 
 
+@wp.func
+def add_change(m: DirectMean, diffuse: wp.vec4, specular: wp.vec4) -> DirectMean:
+    """Return the means after a sudden change of both lights, as find_direct_changes writes them."""
+    out = m
+    zero = wp.vec3(0.0, 0.0, 0.0)
+    share = wp.max(diffuse[3], specular[3])
+    if share > 0.0:
+        out.diffuse = wp.max(m.diffuse + rgb(diffuse) * diffuse[3], zero)
+        out.specular = wp.max(m.specular + rgb(specular) * specular[3], zero)
+        out.moments[2] = wp.lerp(m.moments[2], brightness(out.diffuse), diffuse[3])
+        out.moments[3] = wp.lerp(m.moments[3], brightness(out.specular), specular[3])
+        out.length = wp.lerp(m.length, wp.min(m.length, CHANGED_FRAMES), share)
+        out.changed = 1
+    return out
+
+
 @wp.kernel(cuda_max_registers=64)
 def accumulate_direct(
     first: int,
@@ -215,6 +233,8 @@ def accumulate_direct(
     diffuse: wp.array[wp.uint64],
     specular: wp.array[wp.uint64],
     history: DirectHistory,
+    diffuse_change: wp.array[wp.uint64],
+    specular_change: wp.array[wp.uint64],
     frames: float,
     # Out:
     history_out: DirectHistory,
@@ -228,6 +248,8 @@ def accumulate_direct(
         diffuse: pack_halves of this frame's samples; w = 0: none.
         specular: Like `diffuse`, whose w counts for both.
         history: Of the frame before.
+        diffuse_change: As find_direct_changes writes it, where something has moved.
+        specular_change: Like `diffuse_change`.
         frames: Cap of the mean's length in motion.
         diffuse_out: pack_halves of the mean; w = standard deviation of its luminance, -1 where nothing is known.
         specular_out: Like `diffuse_out`.
@@ -246,6 +268,8 @@ def accumulate_direct(
     if gbuffer.depth[pixel] < SKY_DEPTH:
         if view.restart == 0:
             m = gather_direct(history, previous_gbuffer, position, taps, pixel, width, height)
+        if view.moved_age < MOVED_FRAMES and m.length > 0.0:
+            m = add_change(m, unpack_halves(diffuse_change[pixel]), unpack_halves(specular_change[pixel]))
         if (gbuffer.material[pixel] & wp.uint32(65535)) == wp.uint32(0):
             # Where a pixel on the edge of a mirror showed its frame before, the history is the frame's.
             m.specular = wp.vec3(0.0, 0.0, 0.0)

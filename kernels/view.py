@@ -14,6 +14,9 @@ from .types import FrameData
 
 # Depth [m] of pixels without a surface; fits a half-float after clamping and keeps ratios finite.
 SKY_DEPTH = wp.constant(1.0e18)
+# Frames after a movement of something but the camera in which shadows may still change: with a shadow ray for every
+# other pixel in motion the second frame tells the rest.
+MOVED_FRAMES = wp.constant(3)
 
 
 @wp.struct
@@ -38,6 +41,8 @@ class View:
     """Factor on radiance in all half-float buffers (pre-exposure): they hold radiance * exposure"""
     transparent: int
     """1: the world behind the scene leaves alpha 0"""
+    moved_age: int
+    """Frames since something but the camera moved; 0 in the frame in which it did"""
 
 
 @wp.func

@@ -331,6 +331,7 @@ def load_view(rows: wp.array[View]) -> View:
     view.restart = ages[3]
     view.exposure = rows[0].exposure
     view.transparent = rows[0].transparent
+    view.moved_age = rows[0].moved_age
     return view
 
 

@@ -92,7 +92,7 @@ class Frames:
         self.reprojection.position.assign(position.reshape(-1, 2))
         self.reprojection.taps.assign(taps.reshape(-1))
 
-    def show(self, light, specular=None, weight=1.0, rest=0, light_age=LONG_AGO):
+    def show(self, light, specular=None, weight=1.0, rest=0, light_age=LONG_AGO, moved_age=LONG_AGO):
         """Denoise a frame; return the picture (the first of the two) as [h, w, 3]."""
         for array, values in zip(self.input, (light, light if specular is None else specular), strict=True):
             image = np.empty((self.size, self.size, 4), np.float16)
@@ -100,6 +100,7 @@ class Frames:
             image[..., 3] = weight
             array.assign(image.reshape(-1, 4))
         self.row["rest"], self.row["light_age"], self.row["frame"] = rest, light_age, LONG_AGO + self.frame
+        self.row["moved_age"] = moved_age
         self.views.assign(self.row)
         self.graphs[self.frame & 1].replay()
         self.frame += 1

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The denoiser of direct light: means over frames, then an edge-stopping blur as strong as their errors (SVGF).
 
-Owns the means of this frame and the last. 113 + 44 n bytes a pixel for n passes of the blur.
+Owns the means of this frame and the last, and what has changed between them. 113 + 44 n bytes a pixel for n passes of the blur.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from ...kernels import denoise_debug, direct_atrous, direct_temporal
+from ...kernels import denoise_debug, direct_atrous, direct_change, direct_temporal
 from ...kernels.direct_light import DirectLight
 from ...kernels.direct_temporal import DirectHistory
 from ...kernels.gbuffer import GBuffer
@@ -56,6 +56,7 @@ class DirectDenoisePass:
 
         self.history: History[DirectHistory] = History("direct denoise", history)
         self._lights = (light(), light())
+        self._change = light()
 
     def reset(self) -> None:
         """Forget all frames."""
@@ -84,9 +85,13 @@ class DirectDenoisePass:
         count, size = self.width * self.height, [self.width, self.height]
         source, target = self._lights
         history = self.history.current(parity)
+        previous, change = self.history.previous(parity), _words(self._change)
+        graph.launch(
+            direct_change.find_direct_changes, count,
+            [views, gbuffer, reprojection, *size, *_words(direct), previous], change)
         graph.launch(
             direct_temporal.accumulate_direct, count,
-            [views, gbuffer, previous_gbuffer, reprojection, *size, *_words(direct), self.history.previous(parity),
+            [views, gbuffer, previous_gbuffer, reprojection, *size, *_words(direct), previous, *change,
              float(self.settings.direct_history)],
             [history, *_words(source)])
         passes = self.settings.direct_iterations if noisy else min(self.settings.direct_iterations, 1)

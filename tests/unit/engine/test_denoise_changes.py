@@ -8,7 +8,7 @@ from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.diffuse_denoise import DiffuseDenoisePass
 from burnish.engine.passes.direct_denoise import DirectDenoisePass
 
-from tests.denoise_frames import BOTH, DEVICE, LONG_AGO, SIZE, Frames, noise
+from tests.denoise_frames import BOTH, DEVICE, LONG_AGO, SIZE, Frames, halves, noise
 
 
 @BOTH
@@ -59,6 +59,39 @@ def test_light_comes_on_unannounced(make):
     for _ in range(16):
         result = frames.show(rng.lognormal(-0.125, 0.5, (SIZE, SIZE)))
     assert result.mean() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("before", "now"), [(1.0, 0.0), (0.0, 1.0), (1.0, 0.4)])
+@pytest.mark.parametrize("deviation", [0.0, 0.3])
+def test_shadow_of_a_mover_comes_and_goes_at_once(before, now, deviation):
+    """Show a shadow that moves over half of the picture in its first frame, in which every other pixel has a ray."""
+    rng = np.random.default_rng(11)
+    checker = np.indices((SIZE, SIZE)).sum(0) % 2
+
+    def sample(left):
+        return halves(left, 1.0) * rng.lognormal(-0.5 * deviation**2, deviation, (SIZE, SIZE))
+
+    left = {}
+    for moved_age in (0, LONG_AGO):
+        frames = Frames(DirectDenoisePass)
+        for _ in range(64):
+            frames.show(sample(before))
+        result = frames.show(sample(now), weight=checker, moved_age=moved_age)
+        left[moved_age] = (result[:, 2 : SIZE // 2 - 2].mean() - now) / (before - now)
+        assert result[:, SIZE // 2 + 2 :].mean() == pytest.approx(1.0, abs=0.05)
+    assert left[0] == pytest.approx(0.0, abs=0.12)
+    assert left[LONG_AGO] > 0.7
+
+
+@pytest.mark.parametrize("deviation", [0.3, 1.0])
+def test_noise_is_no_shadow_of_a_mover(deviation):
+    """Keep averaging where things move elsewhere: noise alone cuts few means short."""
+    rng = np.random.default_rng(12)
+    frames = Frames(DirectDenoisePass)
+    for frame in range(64):
+        weight = (np.indices((SIZE, SIZE)).sum(0) + frame) % 2
+        frames.show(rng.lognormal(-0.5 * deviation**2, deviation, (SIZE, SIZE)), weight=weight, moved_age=0)
+    assert np.median(frames.lengths()) > 24 and frames.lengths().mean() > 20
 
 
 @BOTH

@@ -106,7 +106,8 @@ def test_structs(device: str) -> None:
     assert _fields(instances, names) == _fields(rows[Instance], names)
     names = ["width", "height", "levels", "offset", "format", "srgb", "alpha"]
     assert _fields(infos, names) == _fields(rows[TextureInfo], names)
-    names = ["jitter", "previous_jitter", "frame", "rest", "light_age", "restart", "exposure", "transparent"]
+    names = ["jitter", "previous_jitter", "frame", "rest", "light_age", "restart", "exposure", "transparent",
+             "moved_age"]
     assert _fields(views, names) == _fields(rows[View], names)
     names = ["camera_to_world", "world_to_camera", "window", "orthographic", "clip_start", "clip_end", "width",
              "height", "crop_x", "crop_y", "crop_width", "crop_height", "sample", "seed", "spread", "pixel_size"]
