@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The denoiser of direct light: means over frames, then an edge-stopping blur as strong as their errors (SVGF).
 
-Owns the means of this frame and the last, and what has changed between them. 113 + 44 n bytes a pixel for n passes of the blur.
+Owns the means of this frame and the last, and what has changed between them. 129 + 44 n bytes a pixel for n passes of
+the blur.
 """
 
 from __future__ import annotations
