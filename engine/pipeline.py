@@ -146,7 +146,7 @@ class Pipeline:
         # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
         # of their own.
         key = (views.parity, self._settings.denoiser.rest_gather and views.rest > 0,
-               light_phase(views.frame, views.light_age, moved=views.moved))
+               light_phase(views.frame, views.light_age, moved=views.moved_age == 0))
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
             self.records += 1

@@ -27,8 +27,6 @@ class ViewTracker:
         self.frame = -1
         self.rest = -1
         self.light_age = self.moved_age = LONG_AGO
-        self.moved = False
-        """Whether something but the camera has moved since the frame before"""
         self._camera: np.ndarray | None = None
         self._jitter = np.zeros(2, np.float32)
 
@@ -71,7 +69,6 @@ class ViewTracker:
         # The first frame knows no light of before that would have to be forgotten.
         self.light_age = 0 if lit and not first else min(self.light_age + 1, LONG_AGO)
         self.moved_age = 0 if moved and not first else min(self.moved_age + 1, LONG_AGO)
-        self.moved = moved
         jitter = np.zeros(2, np.float32)
         if filter_quantiles is not None:
             u = (0.5 + JITTER_STEP * self.frame) % 1.0

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .direct_temporal import FAST_FRAMES, DirectHistory
+from .direct_temporal import FAST_FRAMES, DirectHistory, change_terms, standard_errors
 from .filter_weights import (
     PixelPlane,
     brightness,
@@ -89,7 +89,7 @@ class ChangeSums:
     """Weighted sums over the taps by which changes are found."""
 
     diffuse: wp.vec4
-    """Difference of short and long mean, its square, the short mean's variance, and the light"""
+    """change_terms of the short and the long mean"""
     specular: wp.vec4
     weight: float
 
@@ -216,14 +216,10 @@ def add_change(sums: ChangeSums, light: LightPair, moments: wp.vec4, weight: flo
     out = sums
     # Variance of the short mean for that of a sample.
     fast = 1.0 / (2.0 * FAST_FRAMES - 1.0)
-    long_d = brightness(rgb(light.diffuse))
-    long_s = brightness(rgb(light.specular))
-    change_d = moments[2] - long_d
-    change_s = moments[3] - long_s
-    out.diffuse = sums.diffuse + wp.vec4(
-        change_d, change_d * change_d, moments[0] * moments[0] * fast, wp.max(moments[2], long_d)) * weight
-    out.specular = sums.specular + wp.vec4(
-        change_s, change_s * change_s, moments[1] * moments[1] * fast, wp.max(moments[3], long_s)) * weight
+    out.diffuse = sums.diffuse + change_terms(
+        moments[2], brightness(rgb(light.diffuse)), moments[0] * moments[0] * fast) * weight
+    out.specular = sums.specular + change_terms(
+        moments[3], brightness(rgb(light.specular)), moments[1] * moments[1] * fast) * weight
     out.weight = sums.weight + weight
     return out
 
@@ -243,11 +239,7 @@ def change_score(sums: wp.vec4, scale: float, threshold: float) -> float:
         scale: 1 / sum of the weights.
         threshold: In standard errors.
     """
-    difference = sums[0] * scale
-    spread = wp.max(sums[1] * scale - difference * difference, sums[2] * scale)
-    light = sums[3] * scale
-    error = wp.sqrt(spread / PIXELS + MARGIN * MARGIN * light * light) + 1.0e-7
-    return wp.clamp((wp.abs(difference) / error - threshold) * 0.5, 0.0, 1.0)
+    return wp.clamp((standard_errors(sums, scale, PIXELS, MARGIN) - threshold) * 0.5, 0.0, 1.0)
 
 
 @wp.kernel(cuda_max_registers=80)

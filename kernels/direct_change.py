@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .direct_temporal import DirectHistory
+from .direct_temporal import DirectHistory, change_terms, has_sample, standard_errors
 from .filter_weights import brightness, inside, pixel_plane, surface_weight
 from .gbuffer import GBuffer
-from .geometry_math import is_finite3
 from .long_mean import unpack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
@@ -39,12 +38,8 @@ class LightChange:
 
     difference: wp.vec3
     """Samples less means"""
-    squares: float
-    """Of the differences of luminances"""
-    variance: float
-    """Of the samples' luminances"""
-    light: float
-    """The larger luminance of each pair"""
+    terms: wp.vec4
+    """change_terms"""
 
 
 @wp.func
@@ -52,10 +47,7 @@ def add_pixel(sums: LightChange, sample: wp.vec3, mean: wp.vec3, deviation: floa
     """Return the sums after one pixel."""
     out = sums
     out.difference = sums.difference + (sample - mean) * weight
-    step = brightness(sample) - brightness(mean)
-    out.squares = sums.squares + step * step * weight
-    out.variance = sums.variance + deviation * deviation * weight
-    out.light = sums.light + wp.max(brightness(sample), brightness(mean)) * weight
+    out.terms = sums.terms + change_terms(brightness(sample), brightness(mean), deviation * deviation) * weight
     return out
 
 
@@ -65,13 +57,8 @@ def change_of(sums: LightChange, total: float) -> wp.vec4:
     if total < 0.5:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     scale = 1.0 / total
-    difference = sums.difference * scale
-    step = brightness(difference)
-    spread = wp.max(sums.squares * scale - step * step, sums.variance * scale)
-    margin = MARGIN * sums.light * scale
-    error = wp.sqrt(spread * scale + margin * margin) + 1.0e-7
-    share = wp.clamp((wp.abs(step) / error - LEAST_ERRORS) / ERRORS_RANGE, 0.0, 1.0)
-    return rgba(difference, share)
+    errors = standard_errors(sums.terms, scale, total, MARGIN)
+    return rgba(sums.difference * scale, wp.clamp((errors - LEAST_ERRORS) / ERRORS_RANGE, 0.0, 1.0))
 
 
 @wp.kernel(cuda_max_registers=64)
@@ -127,8 +114,7 @@ def find_direct_changes(
                 d = unpack_halves(diffuse[q])
                 s = unpack_halves(specular[q])
                 w = surface_weight(plane, dx, dy, gbuffer.depth[q])
-                known = d[3] > 0.0 and float(history.length[before]) != 0.0
-                if known and w > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
+                if w > 0.0 and float(history.length[before]) != 0.0 and has_sample(d, s):
                     moments = unpack_halves(history.moments[before])
                     sums_d = add_pixel(sums_d, rgb(d), unpack_mean(history.diffuse[before]), moments[0], w)
                     sums_s = add_pixel(sums_s, rgb(s), unpack_mean(history.specular[before]), moments[1], w)

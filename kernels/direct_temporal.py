@@ -178,6 +178,35 @@ def spatial_deviation(
 
 
 @wp.func
+def has_sample(diffuse: wp.vec4, specular: wp.vec4) -> bool:
+    """Return whether a frame has a sample of a pixel that can be taken; the first w counts for both."""
+    return diffuse[3] > 0.0 and is_finite3(rgb(diffuse)) and is_finite3(rgb(specular))
+
+
+@wp.func
+def change_terms(now: float, before: float, variance: float) -> wp.vec4:
+    """Return what standard_errors sums up over pixels, of two luminances whose difference has a variance."""
+    change = now - before
+    return wp.vec4(change, change * change, variance, wp.max(now, before))
+
+
+@wp.func
+def standard_errors(sums: wp.vec4, scale: float, pixels: float, margin: float) -> float:
+    """Return by how many standard errors light of now and before differs over so many pixels.
+
+    Args:
+        sums: Of weighted change_terms.
+        scale: 1 / sum of the weights.
+        pixels: How many samples the mean difference is made of.
+        margin: Relative difference that is always taken for noise.
+    """
+    difference = sums[0] * scale
+    spread = wp.max(sums[1] * scale - difference * difference, sums[2] * scale)
+    light = sums[3] * scale
+    return wp.abs(difference) / (wp.sqrt(spread / pixels + margin * margin * light * light) + 1.0e-7)
+
+
+@wp.func
 def updated_deviation(old: float, change: float, blend: float) -> float:
     """Return the standard deviation after a sample that differs from the mean by `change` (Welford, weighted)."""
     return wp.sqrt((1.0 - blend) * (old * old + blend * change * change))
@@ -205,7 +234,7 @@ def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, cap: float) -
 
 
 @wp.func
-def add_change(m: DirectMean, diffuse: wp.vec4, specular: wp.vec4) -> DirectMean:
+def after_change(m: DirectMean, diffuse: wp.vec4, specular: wp.vec4) -> DirectMean:
     """Return the means after a sudden change of both lights, as find_direct_changes writes them."""
     out = m
     zero = wp.vec3(0.0, 0.0, 0.0)
@@ -269,13 +298,13 @@ def accumulate_direct(
         if view.restart == 0:
             m = gather_direct(history, previous_gbuffer, position, taps, pixel, width, height)
         if view.moved_age < MOVED_FRAMES and m.length > 0.0:
-            m = add_change(m, unpack_halves(diffuse_change[pixel]), unpack_halves(specular_change[pixel]))
+            m = after_change(m, unpack_halves(diffuse_change[pixel]), unpack_halves(specular_change[pixel]))
         if (gbuffer.material[pixel] & wp.uint32(65535)) == wp.uint32(0):
             # Where a pixel on the edge of a mirror showed its frame before, the history is the frame's.
             m.specular = wp.vec3(0.0, 0.0, 0.0)
             m.moments[1] = 0.0
             m.moments[3] = 0.0
-        if d[3] > 0.0 and is_finite3(rgb(d)) and is_finite3(rgb(s)):
+        if has_sample(d, s):
             zero = wp.vec3(0.0, 0.0, 0.0)
             cap = history_cap(view.rest, view.light_age, frames)
             m = add_sample(m, wp.max(rgb(d), zero), wp.max(rgb(s), zero), cap)

@@ -156,17 +156,14 @@ class Wavefront:
         if self.cuda:
             self._run_graph(name, kept[1])
             return True
-        living, half, counts = total, 0, self._counts.numpy()
-        while living:
-            (_, begin), *steps = kept[1][half]
-            begin.launch()
-            for place, command in steps:
+        half, counts = 0, self._counts.numpy()
+        while counts[half]:
+            for place, command in kept[1][half]:
                 if counts[place]:
                     command.launch()
             if should_stop():
                 return False
             half = 1 - half
-            living = int(counts[half])
         return True
 
     def _run_graph(self, name: str, halves: tuple[list[tuple[int, wp.Launch]], ...]) -> None:
