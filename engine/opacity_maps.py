@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Opacity micromaps of the flattened triangles that need a test per hit: made on the device, renewed when due.
 
-Rays then decide most hits on leaves and grilles while they traverse the structure (kernels/wide_bvh.py), and only those
-near the outlines run the material's program. Instances in the second level have none: Warp's queries there know no
-filter. Scenes without masked materials neither keep nor launch anything.
+Rays then decide most hits on leaves and grilles while they traverse the structure (kernels/wide_bvh.py). Near the
+outlines they look the mask's image up themselves where it has 8 bits (kernels/opacity_answers.py), and know how much
+passes where that is the same everywhere; else the material's program runs. Where no triangle is left to programs,
+passes leave out what runs them (structures.decides_layers). Instances in the second level have none of it: Warp's
+queries there know no filter. Scenes without masked materials neither keep nor launch anything.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from ..kernels import opacity_answers
 from ..kernels import opacity_maps as kernels
 from ..kernels.opacity_pieces import AlphaMask
 from ..kernels.types import Scene
 from ..kernels.wide_bvh import TRIANGLE_WORDS
 from .alpha_masks import MaskedBy, find_mask
+from .opacity_answers import Answers, plan_answers
 from .structures import RAY_KINDS, FlatStructure
 from .wide_bvh import WideBvh, launch_bands
 
@@ -39,6 +43,9 @@ instead of 47 %, but those maps take a processor longer than they save in a hund
 
 TEXELS_MAX = {"cuda": float(1 << 31), "cpu": float(1 << 26)}
 """Texels that all triangles with maps may cover; the largest go without. A processor takes a second or two for them"""
+
+LAST = np.iinfo(np.int32).max
+"""Begin of a block that never comes: wp.lower_bound finds the last element where all are smaller"""
 
 _mask_of = functools.lru_cache(maxsize=1024)(find_mask)
 
@@ -95,7 +102,8 @@ class OpacityMaps:
             bases = np.full(len(source.rows), -1, np.int32)
             none = wp.zeros(1, dtype=int, device=self.device)
             self._reserve(flat.wide, TRIANGLE_WORDS * len(flat.faces))
-            self._mark(flat, scene(), bases, none, none, none)
+            masks = [none, wp.zeros(1, dtype=AlphaMask, device=self.device)]
+            self._mark(flat, scene(), bases, [*masks, none, none, none, none, 0])
             self.bytes = 0
         elif plan is not None and (renewed or not plan.equals(self._plan)):
             self._make(source, scene(), plan)
@@ -124,7 +132,7 @@ class OpacityMaps:
         return _Plan(masks, chosen, groups) if len(chosen) else None
 
     def _make(self, source: DeviceScene, scene: Scene, plan: _Plan) -> None:
-        """Make all maps."""
+        """Make all maps and answers."""
         table, flat, device = source.table, source.structures.filtered, self.device
         groups, examples, members = np.unique(plan.groups, return_index=True, return_inverse=True)
         meshes = (groups // len(table.material_sets)).tolist()
@@ -133,55 +141,74 @@ class OpacityMaps:
         starts, count = (ends - counts).astype(np.int32), int(ends[-1])
         bases = np.full(len(source.rows), -1, np.int32)
         bases[plan.chosen] = starts[members]
-        records, rows = self._records(source, plan)
+        words = TRIANGLE_WORDS * len(flat.faces)
+        answers = plan_answers([(mask, texture) for mask, texture, _ in plan.masks.values()],
+                               scene.textures.infos.numpy(), words)
+        records, rows = self._records(source, plan, answers)
+        masks = [wp.array(rows, dtype=int, device=device), wp.array(records, dtype=AlphaMask, device=device)]
         about = [
-            scene, wp.array(starts, dtype=int, device=device),
-            wp.array(plan.chosen[examples].astype(np.int32), dtype=int, device=device),
-            wp.array(rows, dtype=int, device=device), wp.array(records, dtype=AlphaMask, device=device)]
-        levels, states, word_ends, kept_ends = (wp.empty(count, dtype=int, device=device) for _ in range(4))
+            scene, wp.array([*starts.tolist(), LAST], dtype=int, device=device),
+            wp.array(plan.chosen[examples].astype(np.int32), dtype=int, device=device), *masks]
+        levels, states, answered, word_ends, kept_ends = (wp.empty(count, dtype=int, device=device) for _ in range(5))
         texels = wp.empty(count, dtype=float, device=device)
         kind = "cuda" if wp.get_device(device).is_cuda else "cpu"
-        launch_bands(kernels.choose_levels, 0, count, [*about, FINE_TEXELS[kind]], [levels, texels, states])
+        launch_bands(kernels.choose_levels, 0, count, [*about, FINE_TEXELS[kind]], [levels, texels, states, answered])
         most, limit, total = _fit(levels.numpy(), texels.numpy(), TEXELS_MAX[kind])
-        kept = 0
         launch_bands(kernels.limit_levels, 0, count, [texels, most, limit], [levels, word_ends])
+        wp.utils.array_scan(word_ends, word_ends, inclusive=True)
+        maps = wp.empty(max(total, 1), dtype=wp.uint32, device=device)
         if total:
-            wp.utils.array_scan(word_ends, word_ends, inclusive=True)
-            maps = wp.empty(total, dtype=wp.uint32, device=device)
             launch_bands(kernels.fill_maps, 0, total, [*about, levels, word_ends], [maps])
-            launch_bands(kernels.judge_maps, 0, count, [levels, word_ends, maps], [states, kept_ends])
-            wp.utils.array_scan(kept_ends, kept_ends, inclusive=True)
-            kept = int(kept_ends[count - 1:].numpy()[0])
-        words = TRIANGLE_WORDS * len(flat.faces)
-        self._reserve(flat.wide, words, kept)
+        launch_bands(kernels.judge_maps, 0, count, [levels, word_ends, maps, answered], [states, kept_ends])
+        wp.utils.array_scan(kept_ends, kept_ends, inclusive=True)
+        kept = int(kept_ends[count - 1:].numpy()[0])
+        # What is the same all over each triangle needs no look-ups.
+        more = len(answers.words) if kept else 0
+        self._reserve(flat.wide, words, more + kept)
         if kept:
+            self._place_answers(flat.wide, scene, masks[1], answers, words)
             launch_bands(
-                kernels.place_maps, 0, kept, [word_ends, kept_ends, maps, words], [flat.wide.triangles])
-        self._mark(flat, scene, bases, levels, states, kept_ends)
-        self.bytes = 4 * kept
+                kernels.place_maps, 0, kept,
+                [*about, levels, states, answered, word_ends, kept_ends, maps, words + more], [flat.wide.triangles])
+        self._mark(flat, scene, bases, [*masks, levels, states, answered, kept_ends, words + more])
+        self.bytes = 4 * (more + kept)
 
-    def _mark(self, flat: FlatStructure, scene: Scene, bases: np.ndarray, levels: wp.array,
-              states: wp.array, kept_ends: wp.array) -> None:
+    def _place_answers(
+        self, wide: WideBvh, scene: Scene, masks: wp.array, answers: Answers, offset: int,
+    ) -> None:
+        """Write what rays read of the masks' images, from word `offset` on."""
+        if answers.images:
+            wp.copy(wide.triangles, wp.array(answers.words, dtype=wp.uint32, device=self.device), dest_offset=offset)
+        for row, first, count in answers.images:
+            launch_bands(opacity_answers.fill_answers, 0, count, [scene, masks, row, first], [wide.triangles])
+
+    def _mark(self, flat: FlatStructure, scene: Scene, bases: np.ndarray, known: list) -> None:
         """Write into the structure's triangles what is known of them."""
+        count = len(flat.faces)
+        undecided = wp.empty(count, dtype=int, device=self.device)
         bases = wp.array(bases, dtype=int, device=self.device)
-        launch_bands(kernels.mark_triangles, 0, len(flat.faces), [
-            scene, flat.faces, bases, levels, states, kept_ends], [flat.wide.triangles])
+        launch_bands(
+            kernels.mark_triangles, 0, count, [scene, flat.faces, bases, *known], [flat.wide.triangles, undecided])
+        wp.utils.array_scan(undecided, undecided, inclusive=True)
+        flat.decided = int(undecided[count - 1:].numpy()[0]) == 0
 
     def _reserve(self, wide: WideBvh, words: int, more: int = 0) -> None:
-        """Make room for maps behind the triangles; where it is there already, recorded frames go on."""
+        """Make room behind the triangles; where it is there already, recorded frames go on."""
         old = wide.triangles
         if len(old) != words + more:
             wide.triangles = wp.empty(words + more, dtype=wp.uint32, device=self.device)
             wp.copy(wide.triangles, old, count=words)
 
     @staticmethod
-    def _records(source: DeviceScene, plan: _Plan) -> tuple[np.ndarray, np.ndarray]:
+    def _records(source: DeviceScene, plan: _Plan, answers: Answers) -> tuple[np.ndarray, np.ndarray]:
         """Return the masks as kernels read them, and the mask of each material, -1 for none."""
         rows = np.full(len(source.material_table.indices), -1, np.int32)
         records = np.zeros(len(plan.masks), AlphaMask.numpy_dtype())
         for i, (key, (mask, texture, uv_map)) in enumerate(plan.masks.items()):
             rows[source.material_table.index(key)] = i
             records[i]["texture"], records[i]["uv_map"] = texture, uv_map
+            records[i]["answers"] = answers.places[i]
+            records[i]["passing"] = mask.passing[0] if mask.image is None and mask.passing else -1.0
             for name in ("extension", "associate", "channel", "u", "v", "clear", "solid"):
                 records[i][name] = getattr(mask, name)
         return records, rows

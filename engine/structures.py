@@ -20,7 +20,7 @@ from .geometry_store import GeometryStore, MeshRange
 from .scene import Key, Visibility
 from .wide_bvh import WideBvh, build_wide
 
-__all__ = ["RAY_KINDS", "FlatStructure", "InstancePlan", "Structures", "is_flat"]
+__all__ = ["RAY_KINDS", "FlatStructure", "InstancePlan", "Structures", "decides_layers", "is_flat"]
 
 # Below this many flattened triangles two levels are not worth their slower rays.
 ALWAYS_FLATTEN = 1 << 20
@@ -33,6 +33,11 @@ RAY_KINDS = int(
 def is_flat(scene: Scene) -> bool:
     """Return whether all of a scene's triangles are flattened: kernels of flat_tracing.py are enough then."""
     return int(scene.geometry.instance_bvh) == 0
+
+
+def decides_layers(scene: Scene) -> bool:
+    """Return whether rays decide by themselves which transparent layers stop them, for kernels of decided_layers.py."""
+    return is_flat(scene) and int(scene.geometry.flat_filtered.decided) == 1
 
 
 @dataclass
@@ -74,6 +79,8 @@ class FlatStructure:
         """None without triangles"""
         self.faces = wp.zeros(1, dtype=wp.vec2i, device=device)
         """(instance, triangle) per face"""
+        self.decided = False
+        """Whether rays decide by themselves which triangles stop them, FlatTriangles.decided"""
         self._nothing = wp.empty(0, dtype=wp.uint32, device=device)
 
     def build(
@@ -92,6 +99,7 @@ class FlatStructure:
         flat.nodes = self._nothing if self.wide is None else self.wide.nodes
         flat.triangles = self._nothing if self.wide is None else self.wide.triangles
         flat.faces = self.faces
+        flat.decided = int(self.decided)
         return flat
 
 

@@ -16,7 +16,8 @@ import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
 from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, Scene, ShadingPoint
-from .wide_bvh import any_wide, closest_layer_wide, closest_wide, shadow_layer_wide
+from .wide_bvh import any_wide, closest_wide
+from .wide_layers import closest_layer_wide, shadow_layer_wide
 from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
 
 # Nothing was hit.
@@ -71,7 +72,7 @@ def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit
 
 @wp.func
 def found_layer(flat: FlatTriangles, found: wp.vec4) -> Layer:
-    """Return what a query for layers has found; see wide_bvh.closest_layer_wide."""
+    """Return what a query for layers has found; see wide_layers.closest_layer_wide."""
     layer = Layer()
     layer.hit.t = found[0]
     layer.hit.instance = MISS

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels that make opacity micromaps: where triangles are clear, solid, or need a test per hit.
 
-What the maps look like is in wide_bvh.py, what decides in opacity_pieces.py. engine/opacity_maps.py launches these
-kernels; most work on entries: each triangle of a mesh under a set of materials has one, which all its instances share.
+What the maps look like is in wide_bvh.py, what decides in opacity_pieces.py, how rays test what maps leave open in
+opacity_answers.py. engine/opacity_maps.py launches these kernels; most work on entries: each triangle of a mesh under a
+set of materials has one, which all its instances share.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import warp as wp
 
 from .intersect import triangle_material
 from .opacity_pieces import (
-    FAR_TEXELS,
     AlphaMask,
+    Piece,
     covered_texels,
+    is_near,
     longest_edge,
     part_of,
     piece_state,
@@ -21,7 +23,15 @@ from .opacity_pieces import (
     triangle_piece,
 )
 from .types import Scene, TextureInfo, Textures
-from .wide_bvh import OPACITY_MIXED, OPACITY_UNKNOWN, TRIANGLE_WORDS
+from .wide_bvh import (
+    ANSWER_CONSTANT,
+    ANSWER_IMAGE,
+    ANSWER_NONE,
+    OPACITY_MIXED,
+    OPACITY_UNKNOWN,
+    PLACE_WORDS,
+    TRIANGLE_WORDS,
+)
 from .wide_bvh_edit import GONE
 from .wide_loads import load_texture_info
 
@@ -34,7 +44,10 @@ MAX_LEVEL = wp.constant(9)
 
 @wp.func
 def entry_triangle(scene: Scene, starts: wp.array[int], instances: wp.array[int], entry: int) -> wp.vec2i:
-    """Return (instance, triangle) of an entry, of one of the instances that share it; blocks of entries start there."""
+    """Return (instance, triangle) of an entry, of one of the instances that share it.
+
+    Blocks of entries begin at `starts`, which has one more than there are, beyond all entries.
+    """
     block = wp.lower_bound(starts, entry + 1) - 1
     instance = instances[block]
     return wp.vec2i(instance, scene.geometry.instances[instance].triangle_offset + entry - starts[block])
@@ -69,16 +82,18 @@ def choose_levels(
     levels_out: wp.array[int],
     texels_out: wp.array[float],
     states_out: wp.array[int],
+    answers_out: wp.array[int],
 ):
     """Choose the level of each entry's map by the triangle's size in the image, and its state where it has no map.
 
     Level 0: none. `texels_out`: how many the triangle covers. A mask without an image has one state. Parts whose
-    longest edge has no more than `fine` texels are not halved again.
+    longest edge has no more than `fine` texels are not halved again. `answers_out`: ANSWER_*.
     """
     entry = first + wp.tid()
     levels_out[entry] = 0
     texels_out[entry] = 0.0
     states_out[entry] = OPACITY_UNKNOWN
+    answers_out[entry] = ANSWER_NONE
     face = entry_triangle(scene, starts, instances, entry)
     row = mask_of(scene, rows, face)
     if row < 0:
@@ -86,13 +101,17 @@ def choose_levels(
     mask = masks[row]
     if mask.texture < 0:
         states_out[entry] = state_of(wp.vec2(0.0, 0.0), mask)
+        if mask.passing >= 0.0:
+            answers_out[entry] = ANSWER_CONSTANT
         return
     info = mask_image(scene.textures, mask)
     if info.levels > 0:
         piece = triangle_piece(scene, mask, info, face[0], face[1])
         edge = longest_edge(piece)
         level = int(MIN_LEVEL)
-        if edge < FAR_TEXELS:
+        if is_near(piece):
+            if mask.answers >= 0:
+                answers_out[entry] = ANSWER_IMAGE
             while level < MAX_LEVEL and edge > fine * float(1 << level):
                 level = level + 1
             levels_out[entry] = level
@@ -160,6 +179,20 @@ def fill_maps(
     maps_out[word] = result
 
 
+@wp.func
+def place_words(state: int, answer: int) -> int:
+    """Return how many words a triangle's place in the image takes: none where nothing is left open."""
+    open_state = state == OPACITY_UNKNOWN or state == OPACITY_MIXED
+    return wp.where(open_state and answer == ANSWER_IMAGE, PLACE_WORDS, 0)
+
+
+@wp.func
+def map_words(state: int, level: int) -> int:
+    """Return how many words a map is given: none where it is the same everywhere, whole fours for wide loads."""
+    words = wp.max(4, 1 << wp.max(2 * (level - MIN_LEVEL), 0))
+    return wp.where(state == OPACITY_MIXED, words, 0)
+
+
 @wp.kernel
 def judge_maps(
     # In:
@@ -167,18 +200,17 @@ def judge_maps(
     levels: wp.array[int],
     ends: wp.array[int],
     maps: wp.array[wp.uint32],
+    answers: wp.array[int],
     # Out:
     states_out: wp.array[int],
     kept_out: wp.array[int],
 ):
-    """Write the state of each entry with a map, and how many words it needs: none where it is the same everywhere."""
+    """Write the state of each entry with a map, and how many words it keeps."""
     entry = first + wp.tid()
-    kept_out[entry] = 0
     if levels[entry] > 0:
         word = int(0)
         if entry > 0:
             word = ends[entry - 1]
-        count = ends[entry] - word
         state = int(maps[word] & wp.uint32(3))
         same = wp.uint32(state) * wp.uint32(0x55555555)
         while word < ends[entry] and state != OPACITY_MIXED:
@@ -186,14 +218,29 @@ def judge_maps(
                 state = OPACITY_MIXED
             word = word + 1
         states_out[entry] = state
-        if state == OPACITY_MIXED:
-            kept_out[entry] = count
+    kept_out[entry] = place_words(states_out[entry], answers[entry]) + map_words(states_out[entry], levels[entry])
+
+
+@wp.func
+def place_word(piece: Piece, answers: int, word: int) -> wp.uint32:
+    """Return a word of a triangle's place in the image; see wide_bvh.py."""
+    corner = wp.where(word < 2, piece.a, wp.where(word < 4, piece.b, piece.c))
+    value = wp.cast(corner[word & 1], wp.uint32)
+    return wp.where(word < 6, value, wp.where(word == 6, wp.uint32(answers), wp.uint32(0)))
 
 
 @wp.kernel
 def place_maps(
     # In:
     first: int,
+    scene: Scene,
+    starts: wp.array[int],
+    instances: wp.array[int],
+    rows: wp.array[int],
+    masks: wp.array[AlphaMask],
+    levels: wp.array[int],
+    states: wp.array[int],
+    answers: wp.array[int],
     ends: wp.array[int],
     kept_ends: wp.array[int],
     maps: wp.array[wp.uint32],
@@ -201,11 +248,22 @@ def place_maps(
     # Out:
     words_out: wp.array[wp.uint32],
 ):
-    """Copy a word of the maps that are needed, which follow each other from word `offset` on."""
+    """Write a word of what entries keep, which follow each other from word `offset` on: place in the image, map."""
     word = first + wp.tid()
     entry = wp.lower_bound(kept_ends, word + 1)
-    # Counted from the ends: they belong to the same map.
-    words_out[offset + word] = maps[ends[entry] - kept_ends[entry] + word]
+    before = place_words(states[entry], answers[entry])
+    number = word - kept_ends[entry] + before + map_words(states[entry], levels[entry])
+    result = wp.uint32(0)
+    if number < before:
+        face = entry_triangle(scene, starts, instances, entry)
+        mask = masks[mask_of(scene, rows, face)]
+        piece = triangle_piece(scene, mask, mask_image(scene.textures, mask), face[0], face[1])
+        result = place_word(piece, mask.answers, number)
+    else:
+        count = 1 << (2 * (levels[entry] - MIN_LEVEL))
+        if number - before < count:
+            result = maps[ends[entry] - count + number - before]
+    words_out[offset + word] = result
 
 
 @wp.kernel
@@ -215,27 +273,42 @@ def mark_triangles(
     scene: Scene,
     faces: wp.array[wp.vec2i],
     bases: wp.array[int],
+    rows: wp.array[int],
+    masks: wp.array[AlphaMask],
     levels: wp.array[int],
     states: wp.array[int],
+    answers: wp.array[int],
     kept_ends: wp.array[int],
+    offset: int,
     # Out:
     words_out: wp.array[wp.uint32],
+    open_out: wp.array[int],
 ):
-    """Write into the structure's triangles what is known of them; `bases` holds an instance's first entry or -1."""
-    base = TRIANGLE_WORDS * (first + wp.tid())
+    """Write into the structure's triangles what is known of them; `bases` holds an instance's first entry or -1.
+
+    `offset`: where what entries keep begins. `open_out`: 1 where rays can't decide all hits on the triangle.
+    """
+    i = first + wp.tid()
+    base = TRIANGLE_WORDS * i
     number = words_out[base + 3]
     known = wp.uint32(0)
     place = wp.uint32(0)
+    open_out[i] = wp.where(number == GONE, 0, 1)
     if number != GONE:
         face = faces[int(number)]
         if bases[face[0]] >= 0:
             entry = bases[face[0]] + face[1] - scene.geometry.instances[face[0]].triangle_offset
-            known = wp.uint32(states[entry]) << wp.uint32(30)
-            if states[entry] == OPACITY_MIXED:
-                level = levels[entry]
-                known = known | wp.uint32(level)
-                # The words after the last triangle's, less this map's own.
-                place = wp.uint32(TRIANGLE_WORDS) * wp.uint32(faces.shape[0])
-                place = place + wp.uint32(kept_ends[entry] - (1 << (2 * (level - MIN_LEVEL))))
+            state = states[entry]
+            answer = answers[entry]
+            known = (wp.uint32(state) << wp.uint32(30)) | wp.uint32(answer)
+            kept = place_words(state, answer) + map_words(state, levels[entry])
+            if kept > 0:
+                place = wp.uint32(offset + kept_ends[entry] - kept)
+            if state == OPACITY_MIXED:
+                known = known | wp.uint32(levels[entry])
+            elif answer == ANSWER_CONSTANT:
+                place = wp.cast(masks[mask_of(scene, rows, face)].passing, wp.uint32)
+            if answer != ANSWER_NONE or (state != OPACITY_UNKNOWN and state != OPACITY_MIXED):
+                open_out[i] = 0
     words_out[base + 7] = known
     words_out[base + 11] = place

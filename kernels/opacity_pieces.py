@@ -60,6 +60,10 @@ class AlphaMask:
     """Range of the value in which all light passes; empty: the first is the larger"""
     solid: wp.vec2
     """Range in which none does"""
+    passing: float
+    """What share passes everywhere; -1: that depends on the value, or is not known"""
+    answers: int
+    """Word where the answers begin by which rays decide it themselves (opacity_answers.py); -1: none"""
 
 
 @wp.struct
@@ -93,6 +97,16 @@ def triangle_piece(scene: Scene, mask: AlphaMask, info: TextureInfo, instance: i
     piece.b = texel_place(scene, mask, info, instance, triangle, 1)
     piece.c = texel_place(scene, mask, info, instance, triangle, 2)
     return piece
+
+
+@wp.func
+def is_near(piece: Piece) -> bool:
+    """Return whether coordinates are finite and not so large that their rounding would be a texel."""
+    low = wp.min(piece.a, wp.min(piece.b, piece.c))
+    high = wp.max(piece.a, wp.max(piece.b, piece.c))
+    reach = wp.max(wp.max(wp.abs(low[0]), wp.abs(low[1])), wp.max(wp.abs(high[0]), wp.abs(high[1])))
+    total = piece.a + piece.b + piece.c
+    return wp.isfinite(total[0]) and wp.isfinite(total[1]) and reach <= FAR_TEXELS
 
 
 @wp.func
@@ -208,14 +222,11 @@ def state_of(value: wp.vec2, mask: AlphaMask) -> int:
 @wp.func
 def piece_state(textures: Textures, info: TextureInfo, mask: AlphaMask, luminance: wp.vec3, piece: Piece) -> int:
     """Return what is known of a piece from the texels that a bilinear look-up anywhere in it can touch."""
-    total = piece.a + piece.b + piece.c
-    if not (wp.isfinite(total[0]) and wp.isfinite(total[1])):
+    if not is_near(piece):
         return OPACITY_UNKNOWN
     low = wp.min(piece.a, wp.min(piece.b, piece.c))
     high = wp.max(piece.a, wp.max(piece.b, piece.c))
     reach = wp.max(wp.max(wp.abs(low[0]), wp.abs(low[1])), wp.max(wp.abs(high[0]), wp.abs(high[1])))
-    if reach > FAR_TEXELS:
-        return OPACITY_UNKNOWN
     if (high[0] - low[0] + 3.0) * (high[1] - low[1] + 3.0) > float(MAX_TEXELS):
         return OPACITY_UNKNOWN
     margin = ROUNDING_TEXELS + ROUNDING * reach

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices
+from .decided_layers import meet_layers
 from .environment_split import EnvironmentSplit
 from .intersect import closest_hit, closest_layer
 from .layers_lean import filter_path
@@ -22,12 +23,19 @@ from .types import Scene
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
+# Who decides which layers stop a ray: the lean machine, which knows all of them, or the ray itself.
+TAIL_LAYERS = wp.constant(1)
+TAIL_LAYERS_DECIDED = wp.constant(2)
+
+
 @wp.func
 def trace_segment(scene: Scene, reflection: int, filtered: int, paths: Paths, vertices: Vertices, slot: int):
-    """Find what a segment meets; `filtered` 1: behind transparent layers, all of which the lean machine knows."""
+    """Find what a segment meets; `filtered`: TAIL_LAYERS* where there are transparent layers."""
     store_hit(paths, slot, closest_hit(
         scene.geometry, paths.origin[slot], paths.direction[slot], paths.t[slot]))
-    if filtered == 1:
+    if filtered == TAIL_LAYERS_DECIDED:
+        meet_layers(scene.geometry, paths, slot)
+    elif filtered == TAIL_LAYERS:
         take_layer(paths, slot, closest_layer(
             scene.geometry, paths.origin[slot], paths.direction[slot], load_hit(paths, slot).t))
         filter_path(scene, paths, slot)
@@ -62,7 +70,7 @@ def follow_tail(
         world: Its radiance by texels where that is known (DeviceScene.world_texels).
         reflection: REFLECTED, REFRACTED or GATHERED.
         segments: Most of a ray, those before included.
-        filtered: Whether there are triangles that need a test.
+        filtered: TAIL_LAYERS* where there are triangles that need a test, else 0.
         stride: Number of threads.
         count: Number of rays.
         queue: Their slots.

@@ -108,6 +108,8 @@ class FlatTriangles:
     triangles: wp.array[wp.uint32]
     faces: wp.array[wp.vec2i]
     """(instance, triangle) per face; triangle indexes Geometry.triangles"""
+    decided: int
+    """1: rays decide by themselves which of them stop them (opacity_answers.py)"""
 
 
 @wp.struct

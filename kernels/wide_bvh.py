@@ -24,11 +24,22 @@ are for triangle_split.part_box. Of triangles for the queries for layers, which 
 opacity micromap (Gruen, Benthin and Woop, "Sub-triangle opacity masks for faster ray tracing of transparent objects",
 2020) that opacity_maps.py makes:
 
-    7      the top two bits: an OPACITY_* of the whole triangle; below them the level of OPACITY_MIXED
-    11     of OPACITY_MIXED: the word, counted from the first triangle's, where the map lies, behind all triangles
+    7      the top two bits: an OPACITY_* of the whole triangle; below them an ANSWER_* where hits need a test, and the
+           level of OPACITY_MIXED
+    11     of ANSWER_CONSTANT the share of light that passes; else the word, counted from the first triangle's, behind
+           all triangles, where of ANSWER_IMAGE its place in the image begins, then of OPACITY_MIXED the map
 
 The map of level k has an OPACITY_* of two bits for each of the 4^k triangles that k halvings of all edges leave, in the
 order of their numbers in base 4, a digit a halving: 0 to 2 at the triangle's vertices, 3 in the middle.
+
+Where the map leaves a hit open, rays look up what passes (opacity_answers.py). A place of PLACE_WORDS is a triangle's
+three vertices in texels, whose centres lie at whole numbers, then the word where the image's answers begin:
+
+    0..3   width, height, EXTENSION_*, the word of the image
+    4..    what share passes for the values 0 to 1 in ANSWER_STEPS steps (float32)
+
+The image has a word for each texel, and for IMAGE_BORDER more on the left and below, one less on the right and above:
+the values of the texel and of its neighbours to the right, above, and both, a byte each.
 
 The code is native, since Warp loads arrays of vectors component by component: five loads a node instead of twenty.
 """
@@ -52,6 +63,17 @@ OPACITY_UNKNOWN = wp.constant(0)
 OPACITY_CLEAR = wp.constant(1)
 OPACITY_SOLID = wp.constant(2)
 OPACITY_MIXED = wp.constant(3)
+
+# How hits are decided where a triangle's state, or its map, leaves them open: by its material's program; all alike; by
+# the image in the same memory.
+ANSWER_NONE = wp.constant(0)
+ANSWER_CONSTANT = wp.constant(16)
+ANSWER_IMAGE = wp.constant(32)
+PLACE_WORDS = wp.constant(8)
+ANSWER_STEPS = wp.constant(512)
+ANSWER_WORDS = wp.constant(520)
+"""Before the image: whole fours"""
+IMAGE_BORDER = wp.constant(2)
 
 _TRAVERSE = """
     // Loads of four words, bit patterns, bit counting.
@@ -259,7 +281,7 @@ _TEST_BOXES = """
 #endif
 """
 # Leaves wait on the stack while few of the warp's rays have one.
-_POSTPONE = """
+POSTPONE = """
 #ifdef __CUDA_ARCH__
             if (group > 0x00ffffffu && depth < WAITING && __popc(__activemask()) < 8) {
                 stack[depth++] = ((unsigned long long)triangle_base << 32) | leaves;
@@ -267,53 +289,29 @@ _POSTPONE = """
             }
 #endif
 """
-_FACE = "(int)face_word"
-_CLOSEST = """best_t = t;
+FACE = "(int)face_word"
+CLOSEST = """best_t = t;
                     best_u = u * scale;
                     best_v = v * scale;
                     best_key = KEY;"""
-_RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_key))"
+RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_key))"
 
-# The key of a layer tells faces apart as the face does, its lowest bit whether the map says that it is solid.
-_LAYER_KEY = "2 * (int)face_word"
-_LAYER = """unsigned int opacity = opacity_word >> 30;
-                    if (opacity == 3u) {
-                        float a = u * scale, b = v * scale, c = 1.0f - a - b;
-                        unsigned int micro = 0u;
-                        for (unsigned int level = opacity_word & 15u; level != 0u; --level) {
-                            a += a; b += b; c += c;
-                            if (a >= 1.0f) { a -= 1.0f; micro = 4u * micro; }
-                            else if (b >= 1.0f) { b -= 1.0f; micro = 4u * micro + 1u; }
-                            else if (c >= 1.0f) { c -= 1.0f; micro = 4u * micro + 2u; }
-                            else { a = 1.0f - a; b = 1.0f - b; c = 1.0f - c; micro = 4u * micro + 3u; }
-                        }
-                        opacity = (load_word(triangle_words, map_word + (micro >> 4)) >> (2u * (micro & 15u))) & 3u;
-                    }
-                    """
-_CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
-                        best_t = t;
-                        best_u = u * scale;
-                        best_v = v * scale;
-                        best_key = KEY + (opacity == 2u ? 1 : 0);
-                    }"""
-_SHADOW_LAYER = _LAYER + """if (opacity == 2u)
-                        return wp::vec4(t, u * scale, v * scale, as_float((unsigned int)(KEY + 1)));
-                    if (opacity == 0u) {
-                        best_t = t;
-                        best_u = u * scale;
-                        best_v = v * scale;
-                        best_key = KEY;
-                    }"""
+def query_source(found: str, result: str, postpone: str = "", waiting: int = 0, key: str = FACE) -> str:
+    """Return the native source of a query.
 
-
-def _source(found: str, result: str, postpone: str, waiting: int, key: str = _FACE) -> str:
-    """Return the native source of a query."""
+    Args:
+        found: What to do at a hit before the closest: best_t, best_u, best_v and best_key are what is known of that.
+        result: What the query returns when it has seen all.
+        postpone: POSTPONE, or nothing for queries that end at hits.
+        waiting: WAITING with POSTPONE.
+        key: What tells hits at the same distance apart: the lowest counts.
+    """
     text = _TRAVERSE.replace("TEST_BOXES\n", _TEST_BOXES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"
 
 
-@wp.func_native(_source(_CLOSEST, _RESULT, _POSTPONE, WAITING))
+@wp.func_native(query_source(CLOSEST, RESULT, POSTPONE, WAITING))
 def closest_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec4:
@@ -324,28 +322,9 @@ def closest_wide(
     ...
 
 
-@wp.func_native(_source("return true;", "false", "", 0))
+@wp.func_native(query_source("return true;", "false"))
 def any_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> bool:
     """Return whether any triangle lies closer than t_max."""
-    ...
-
-
-@wp.func_native(_source(_CLOSEST_LAYER, _RESULT, _POSTPONE, WAITING, _LAYER_KEY))
-def closest_layer_wide(
-    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
-) -> wp.vec4:
-    """Return the closest hit where a triangle is not known to be clear.
-
-    As closest_wide, but the last bits are twice the face, plus 1 where the triangle is known to be solid.
-    """
-    ...
-
-
-@wp.func_native(_source(_SHADOW_LAYER, _RESULT, _POSTPONE, WAITING, _LAYER_KEY))
-def shadow_layer_wide(
-    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
-) -> wp.vec4:
-    """Return the same for rays that any solid triangle ends: one such hit if it is met on the way to the closest."""
     ...

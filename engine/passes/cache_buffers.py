@@ -21,7 +21,7 @@ from ...kernels.paths import Paths
 from ...kernels.types import Closure, Scene
 from ..device import launch
 from ..frame_graph import FrameGraph
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from ..work_list import WorkList
 from .layer_rays import record_shadow_layers
 
@@ -125,8 +125,9 @@ def record_shadow_rays(
     """
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
-    trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
-    graph.launch_listed(trace, [scene, int(filtered)], under_way, [paths])
+    if not filtered or not decides_layers(scene):
+        trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
+        graph.launch_listed(trace, [scene, int(filtered)], under_way, [paths])
     if filtered:
         record_shadow_layers(
             graph, scene, paths, offset, count, queue, layered, bounces=1, lean=lean_layers, under_way=under_way)

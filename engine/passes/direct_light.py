@@ -29,7 +29,7 @@ from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from ..work_list import make_queue, make_work_list, one_number
 from .layer_rays import record_shadow_layers
 
@@ -165,8 +165,9 @@ class DirectLightPass:
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
-            trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
-            graph.launch(trace, self.slots, [scene], [self.rays])
+            if not filtered or not decides_layers(scene):
+                trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
+                graph.launch(trace, self.slots, [scene], [self.rays])
             if filtered:
                 record_shadow_layers(
                     graph, scene, self.rays, 0, self.slots, self.queue, self.layered, bounces=0, lean=lean_layers)

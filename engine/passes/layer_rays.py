@@ -5,12 +5,21 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...kernels import compaction, flat_tracing, layers, layers_lean, shadow_layers, shadow_layers_lean, tracing
+from ...kernels import (
+    compaction,
+    decided_layers,
+    flat_tracing,
+    layers,
+    layers_lean,
+    shadow_layers,
+    shadow_layers_lean,
+    tracing,
+)
 from ...kernels.paths import Paths
 from ...kernels.types import Scene
 from ..frame_graph import FrameGraph
 from ..shadow_rays import make_options
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, one_number
 
 __all__ = ["record_layers", "record_shadow_layers"]
@@ -31,8 +40,12 @@ def record_layers(
         queue: All slots.
         layered: Room for those of all slots that layers stand in the way of.
         lean: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
-        traced: Whether the first layer of each is known.
+        traced: Whether the first layer of each is known; where rays decide them, whether they have.
     """
+    if decides_layers(scene):
+        if not traced:
+            graph.launch(decided_layers.trace_decided_layers, count, [scene, offset], [paths])
+        return
     queue, layered = queue[offset : offset + count], layered.part(offset, count)
     if not traced:
         if is_flat(scene):
@@ -52,15 +65,22 @@ def record_shadow_layers(
 ) -> None:
     """Record weakening shadow rays by the layers that they meet, after `bounces` surfaces.
 
-    `under_way`: those slots that have a shadow ray, where they are known; else as record_layers.
+    `under_way`: those slots that have a shadow ray, where they are known; else as record_layers. Where rays decide
+    layers this also traces them against opaque triangles.
     """
     queue, layered = queue[offset : offset + count], layered.part(offset, count)
     shadows = [scene, make_options(filtered=True), one_number(bounces, graph.device)]
-    trace = flat_tracing.trace_flat_shadow_layers if is_flat(scene) else tracing.trace_shadow_layers
+    decided = decides_layers(scene)
+    if decided:
+        trace = decided_layers.trace_decided_shadows
+    else:
+        trace = flat_tracing.trace_flat_shadow_layers if is_flat(scene) else tracing.trace_shadow_layers
     if under_way is not None:
         graph.launch_listed(trace, shadows, under_way, [paths])
     else:
         graph.launch_queued(trace, shadows, queue, [paths])
+    if decided:
+        return
     if lean:
         graph.fill_list(compaction.append_layered_shadows, count, [paths, offset], layered)
         graph.launch_listed(shadow_layers_lean.weaken_shadow_rays_lean, shadows, layered, [paths], few=True)

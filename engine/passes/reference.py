@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels import (
+    decided_layers,
     film,
     flat_paths,
     layers,
@@ -37,7 +38,7 @@ from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from .path_light import LightFilm
 from .wavefront import Step, Wavefront
 
@@ -308,14 +309,16 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
 def shadow_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return what traces the paths' shadow rays and adds their light."""
     shadows, steps = [scene, options, slot.rounds], []
-    if is_flat(scene):
+    if options.filtered == 1 and decides_layers(scene):
+        steps.append(Step(decided_layers.trace_decided_shadows, shadows))
+    elif is_flat(scene):
         steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills=("layered_shadows",)))
     else:
         steps.append(Step(tracing.trace_shadows, shadows))
         if options.filtered == 1:
             steps += [Step(tracing.trace_shadow_layers, shadows),
                       Step(path_lists.list_layered_shadows, [slot.paths], fills=("layered_shadows",), changes=False)]
-    if options.filtered == 1:
+    if options.filtered == 1 and not decides_layers(scene):
         weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays
         steps.append(Step(weaken, shadows, over="layered_shadows"))
     if options.programs == 1:

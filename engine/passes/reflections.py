@@ -16,6 +16,7 @@ from ...kernels import (
     cache_cells,
     cache_rays,
     compaction,
+    decided_layers,
     flat_tracing,
     gather_further,
     gather_start,
@@ -51,7 +52,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..settings import ReflectionResolution, ReflectionSettings
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
     BOUNCE_ARRAYS,
@@ -276,8 +277,11 @@ class ReflectionPass:
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
-                trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
-                graph.launch_listed(trace, [scene, int(what.filtered)], work, [paths], few=True)
+                if what.filtered and decides_layers(scene):
+                    graph.launch_listed(decided_layers.trace_decided_further, [scene], work, [paths], few=True)
+                else:
+                    trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
+                    graph.launch_listed(trace, [scene, int(what.filtered)], work, [paths], few=True)
             if what.filtered:
                 record_layers(
                     graph, scene, paths, 0, blocks, self.queue, self.layered, lean=what.lean_layers, traced=index > 0)
@@ -298,7 +302,9 @@ class ReflectionPass:
 
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
         """Record following the rays that are still under way to their ends, over so many segments in all."""
-        paths, last = self.paths, [segments, int(what.filtered)]
+        paths = self.paths
+        layers = reflection_tail.TAIL_LAYERS_DECIDED if decides_layers(what.scene) else reflection_tail.TAIL_LAYERS
+        last = [segments, int(layers) if what.filtered else 0]
         outputs = [self.rays, paths, self.vertices]
         with graph.section(self._section("materials")):
             graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)

@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine import opacity_maps
+from burnish.engine import opacity_answers, opacity_maps
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import AlphaMode, ImageData, MaterialData, SceneDelta, Visibility
@@ -140,7 +140,8 @@ def state_at(triangle: np.ndarray, words: np.ndarray, weights: np.ndarray) -> in
         else:
             weights = 1 - weights
         number = 4 * number + digit
-    return int(words[int(triangle[11]) + number // 16]) >> 2 * (number % 16) & 3
+    place = int(triangle[11]) + (8 if int(triangle[7]) & 32 else 0)
+    return int(words[place + number // 16]) >> 2 * (number % 16) & 3
 
 
 def check_claims(made: DeviceScene, points: int = 400) -> np.ndarray:
@@ -195,6 +196,19 @@ def test_claims_hold_for_other_texels(kind: type) -> None:
     assert shares[UNKNOWN] < 0.5
 
 
+def test_each_mesh_has_its_own_maps() -> None:
+    """Claim of each of several meshes what its own material and coordinates say."""
+    delta = scenes.delta(
+        {"leaves": leaves(), "others": leaves(30, seed=6), "plane": scenes.quad(3.0)},
+        [("plane", np.eye(4), "clear"), ("leaves", np.eye(4), "leaf"), ("others", np.eye(4), "leaf"),
+         ("leaves", scenes.place(y=2.0), "coarse")],
+        {"leaf": masked(0.3), "coarse": masked(0.6, channel=1), "clear": scenes.transparent(1.0)})
+    delta.images["leaf"] = ImageData(name="leaf", pixels=np.repeat(blobs()[..., 3:], 4, 2))
+    made = DeviceScene("cpu")
+    made.apply(delta, PerformanceSettings())
+    assert check_claims(made, 100)[UNKNOWN] < 0.5
+
+
 def test_odd_coordinates_stay_unknown() -> None:
     """Claim nothing of triangles whose coordinates are not finite, far away, or cover too much of a picture."""
     mesh = leaves(4)
@@ -220,8 +234,16 @@ def crossings(made: DeviceScene, mesh, origin: np.ndarray, direction: np.ndarray
     """Return t (inf without a hit) and state of every triangle on every ray [rays, triangles], each tried in turn."""
     triangles, words = words_of(made)
     by_face = triangles[np.argsort(triangles[:, 3])]
-    t = np.full((len(origin), len(by_face)), np.inf)
-    states = np.full(t.shape, CLEAR)
+    (t, weights), states = crossed(mesh, origin, direction), np.full((len(origin), len(by_face)), CLEAR)
+    for ray, k in np.argwhere(np.isfinite(t)):
+        states[ray, k] = state_at(by_face[k], words, weights[ray, k])
+    return t, states
+
+
+def crossed(mesh, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return t (inf without a hit) [rays, triangles] and the vertices' weights [rays, triangles, 3]."""
+    t = np.full((len(origin), len(mesh.triangles)), np.inf)
+    weights = np.zeros((*t.shape, 3))
     for k, (a, b, c) in enumerate(mesh.positions.astype(np.float64)[mesh.triangles]):
         cross = np.cross(direction, c - a)
         scale = 1.0 / (cross @ (b - a))
@@ -230,15 +252,15 @@ def crossings(made: DeviceScene, mesh, origin: np.ndarray, direction: np.ndarray
         v = (direction * other).sum(1) * scale
         met = (u >= 0) & (v >= 0) & (u + v <= 1) & (other @ (c - a) * scale >= 0)
         t[met, k] = (other @ (c - a) * scale)[met]
-        for ray in np.flatnonzero(met):
-            states[ray, k] = state_at(by_face[k], words, (1 - u[ray] - v[ray], u[ray], v[ray]))
-    return t, states
+        weights[:, k] = np.stack([1 - u - v, u, v], 1)
+    return t, weights
 
 
 def test_rays_meet_what_the_maps_leave() -> None:
     """Pass over what is clear, report what is solid, keep the rest; shadow rays end at what is solid, in any order."""
     mesh = leaves(60)
-    made = opened(masked(0.3), mesh=mesh)
+    # Rays can't look up a picture of floats by themselves.
+    made = opened(masked(0.3), (blobs() / 255).astype(np.float32), mesh)
     rng = np.random.default_rng(7)
     origin, direction = rng.uniform(-2, 2, (1500, 3)).astype(np.float32), rng.normal(size=(1500, 3)).astype(np.float32)
     outputs = [wp.zeros((2, 1500), dtype=kind, device="cpu") for kind in (float, wp.vec2i, int)]
@@ -263,13 +285,13 @@ def test_rays_meet_what_the_maps_leave() -> None:
 
 
 def test_scenes_without_masks_do_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Launch and keep nothing for half transparent materials, without transparency, and when switched off."""
+    """Launch and keep nothing without transparency, where what is clear shines, and when switched off."""
     launches = []
     launch = opacity_maps.launch_bands
     monkeypatch.setattr(opacity_maps, "launch_bands", lambda kernel, *rest: (launches.append(kernel), launch(
         kernel, *rest)))
     for material, settings in (
-            (scenes.transparent(0.4), None), (scenes.material(color=0.5), None), (masked(has_emission=True), None),
+            (scenes.material(color=0.5), None), (masked(has_emission=True), None),
             (masked(), PerformanceSettings(opacity_maps=False))):
         made = opened(material, settings=settings)
         assert launches == [] and made.opacity_maps.bytes == 0
@@ -333,10 +355,11 @@ def test_large_triangles_go_without_where_texels_are_too_many(monkeypatch: pytes
 
 def test_maps_get_coarser_before_they_get_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep to the room there is, and claim less, not wrongly."""
+    monkeypatch.setattr(opacity_answers, "IMAGE_WORDS_MAX", 0)
     fine = opened(masked(0.3))
     monkeypatch.setattr(opacity_maps, "WORDS_MAX", 100)
     coarse = opened(masked(0.3))
-    assert 0 < coarse.opacity_maps.bytes <= 400 < fine.opacity_maps.bytes
+    assert 0 < coarse.opacity_maps.bytes <= 1600 < fine.opacity_maps.bytes
     assert check_claims(coarse)[UNKNOWN] > check_claims(fine)[UNKNOWN]
 
 
