@@ -68,6 +68,16 @@ _LAYER = """unsigned int opacity = opacity_word >> 30;
                             passing = as_float(map_word);
                         }
                         opacity = passing >= 1.0f ? 1u : (passing <= 0.0f ? 2u : 0u);
+                        // A ray through an edge meets both of its triangles: it counts for the one on its left.
+                        if (opacity == 0u && (u == 0.0f || v == 0.0f || w == 0.0f)) {
+                            auto counts = [&](float at, float x, float y) -> bool {
+                                return at != 0.0f || (determinant > 0.0f ? (x > 0.0f || (x == 0.0f && y > 0.0f))
+                                                                         : (x < 0.0f || (x == 0.0f && y < 0.0f)));
+                            };
+                            if (!counts(u, rx - qx, ry - qy) || !counts(v, px - rx, py - ry)
+                                || !counts(w, qx - px, qy - py))
+                                opacity = 1u;
+                        }
                     }
                     """
 _CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {

@@ -7,6 +7,7 @@ import warp as wp
 
 from ...kernels import (
     compaction,
+    decided_layers,
     flat_tracing,
     gbuffer_behind,
     gbuffer_debug,
@@ -27,7 +28,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..emitters import EmitterTable
 from ..frame_graph import FrameGraph
 from ..history import History
-from ..structures import is_flat
+from ..structures import decides_layers, is_flat
 from ..work_list import make_work_list
 
 __all__ = ["GBufferPass"]
@@ -127,11 +128,14 @@ class GBufferPass:
             if len(hits.weight) != count:
                 self._fit_layers(count)
         with graph.section("Primary rays"):
-            if is_flat(scene):
+            if filtered and decides_layers(scene):
+                graph.launch(
+                    decided_layers.trace_decided_primary, in_blocks, [views, scene, width, height, layers], [hits])
+            elif is_flat(scene):
                 graph.launch(flat_tracing.trace_flat_primary, in_blocks, [views, scene, width, height], [hits])
             else:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
-            if filtered:
+            if filtered and not decides_layers(scene):
                 self._record_layers(
                     graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
         with graph.section("Materials"):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from ...kernels import (
+    cache_rays,
     compaction,
     decided_layers,
     flat_tracing,
@@ -22,7 +23,21 @@ from ..shadow_rays import make_options
 from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, one_number
 
-__all__ = ["record_layers", "record_shadow_layers"]
+__all__ = ["record_hits", "record_layers", "record_shadow_layers"]
+
+
+def record_hits(
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, layered: WorkList, *,
+    filtered: bool, lean: bool,
+) -> None:
+    """Record finding what rays meet; `filtered`: whether any triangle needs a test; else as record_layers."""
+    if filtered and decides_layers(scene):
+        graph.launch(decided_layers.trace_decided_rays, count, [scene, offset], [paths])
+        return
+    trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
+    graph.launch(trace, count, [scene, offset], [paths])
+    if filtered:
+        record_layers(graph, scene, paths, offset, count, queue, layered, lean=lean)
 
 
 def record_layers(
@@ -40,12 +55,8 @@ def record_layers(
         queue: All slots.
         layered: Room for those of all slots that layers stand in the way of.
         lean: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
-        traced: Whether the first layer of each is known; where rays decide them, whether they have.
+        traced: Whether the first layer of each is known.
     """
-    if decides_layers(scene):
-        if not traced:
-            graph.launch(decided_layers.trace_decided_layers, count, [scene, offset], [paths])
-        return
     queue, layered = queue[offset : offset + count], layered.part(offset, count)
     if not traced:
         if is_flat(scene):

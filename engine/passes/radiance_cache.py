@@ -22,7 +22,6 @@ from ...kernels import (
     cache_rays,
     cache_shade,
     compaction,
-    flat_tracing,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
@@ -36,7 +35,6 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
 from ..settings import CacheKey, CacheSettings
-from ..structures import is_flat
 from ..work_list import make_queue, make_work_list
 from .cache_buffers import (
     BOUNCE_ARRAYS,
@@ -53,7 +51,7 @@ from .cache_buffers import (
     threads_race,
 )
 from .cache_spreading import LightPhase, record_coarse_cells, record_spreading
-from .layer_rays import record_layers
+from .layer_rays import record_hits
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -280,11 +278,9 @@ class RadianceCachePass:
 
     def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
         """Record finding the hits of `count` rays from slot `offset` on."""
-        trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
-        graph.launch(trace, count, [scene, offset], [self.paths])
-        if self._layers:
-            record_layers(
-                graph, scene, self.paths, offset, count, self.queue, self.layered, lean=self._lean_layers)
+        record_hits(
+            graph, scene, self.paths, offset, count, self.queue, self.layered, filtered=self._layers,
+            lean=self._lean_layers)
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,

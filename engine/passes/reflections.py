@@ -14,7 +14,6 @@ import warp as wp
 
 from ...kernels import (
     cache_cells,
-    cache_rays,
     compaction,
     decided_layers,
     flat_tracing,
@@ -65,7 +64,7 @@ from .cache_buffers import (
     record_shadow_rays,
     record_sums,
 )
-from .layer_rays import record_layers
+from .layer_rays import record_hits, record_layers
 from .screen_probes import ScreenProbePass
 
 __all__ = ["RayScene", "ReflectionPass", "reflection_options"]
@@ -272,19 +271,13 @@ class ReflectionPass:
         work = self.all
         with graph.section(self._section("rays")):
             if index == 0:
-                trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
-                graph.launch(trace, blocks, [scene, 0], [paths])
+                record_hits(
+                    graph, scene, paths, 0, blocks, self.queue, self.layered, filtered=what.filtered,
+                    lean=what.lean_layers)
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
-                if what.filtered and decides_layers(scene):
-                    graph.launch_listed(decided_layers.trace_decided_further, [scene], work, [paths], few=True)
-                else:
-                    trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
-                    graph.launch_listed(trace, [scene, int(what.filtered)], work, [paths], few=True)
-            if what.filtered:
-                record_layers(
-                    graph, scene, paths, 0, blocks, self.queue, self.layered, lean=what.lean_layers, traced=index > 0)
+                self._record_further(graph, what)
             if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
                 graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
         with graph.section(self._section("materials")):
@@ -299,6 +292,18 @@ class ReflectionPass:
                 graph.launch_listed(
                     reflection_materials.follow_full, [scene, what.split, *arguments, 0, 0], work,
                     [rays, paths, vertices], few=True)
+
+    def _record_further(self, graph: FrameGraph, what: RayScene) -> None:
+        """Record finding what further segments of the rays under way meet."""
+        scene, paths = what.scene, self.paths
+        if what.filtered and decides_layers(scene):
+            graph.launch_listed(decided_layers.trace_decided_further, [scene], self.living, [paths], few=True)
+            return
+        trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
+        graph.launch_listed(trace, [scene, int(what.filtered)], self.living, [paths], few=True)
+        if what.filtered:
+            record_layers(
+                graph, scene, paths, 0, self.blocks, self.queue, self.layered, lean=what.lean_layers, traced=True)
 
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
         """Record following the rays that are still under way to their ends, over so many segments in all."""

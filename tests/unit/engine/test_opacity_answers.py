@@ -129,6 +129,27 @@ def test_constant_shares_are_known() -> None:
     assert ((shares > 0.0) & (shares < 0.5)).any()
 
 
+def test_edges_count_once() -> None:
+    """Weaken light by one layer where rays go exactly through the edges and the corners that triangles share."""
+    cells = 4
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(cells + 1.0), np.arange(cells + 1.0)))
+    corner = np.array([k for k in range(cells * (cells + 1)) if k % (cells + 1) < cells])
+    quads = np.stack([corner, corner + 1, corner + cells + 2, corner + cells + 1], 1)
+    # Every second triangle faces down.
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 3, 2]]])
+    mesh = scenes.mesh(np.stack([x, y, 0 * x], 1), triangles)
+    made = opened(scenes.transparent(0.4), mesh=mesh)
+    places = np.linspace(0.5, cells - 0.5, 4 * (cells - 1) + 1)
+    origin = np.array([(a, b, 3.0) for a in places for b in places], np.float32)
+    for direction in ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)):
+        shares = wp.zeros(len(origin), dtype=float, device="cpu")
+        start = origin * (1, 1, -direction[2])
+        wp.launch(look_through, len(origin), [
+            made.scene, *(wp.array(np.broadcast_to(rows, origin.shape).astype(np.float32), dtype=wp.vec3, device="cpu")
+                          for rows in (start, direction)), 1e30], [shares], device="cpu")
+        np.testing.assert_allclose(shares.numpy(), 0.4, rtol=1e-6)
+
+
 def tinted() -> MaterialData:
     """Make a material that lets more red pass than blue."""
     build = ProgramBuilder()
@@ -241,5 +262,5 @@ def test_known_layers_need_no_lists() -> None:
         session.step(1)
         names = {kernel for _, kernel in session._realtime.pipeline.launches()}
         session.close()
-        assert ("trace_decided_shadows" in names) == ("trace_decided_layers" in names) == enabled
+        assert ("trace_decided_shadows" in names) == ("trace_decided_rays" in names) == enabled
         assert ("weaken_shadow_rays_lean" in names) == ("filter_paths_lean" in names) == (not enabled)
