@@ -9,27 +9,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from .flat_tracing import any_flat, closest_flat, closest_flat_layer
-from .gbuffer_behind import shining
-from .gbuffer_layers import layer_seed, store_stop
-from .gbuffer_rays import LAYERS_LIT, PrimaryHits, primary_ray, store_primary_layer
-from .geometry_math import max_component
+from .flat_tracing import any_flat, closest_flat
 from .intersect import MISS, Hit
 from .layers import LAYER_STREAM
-from .packing import rgba
 from .paths import ENDED, Options, Paths, load_hit, store_hit
-from .pixel_order import pixel_in_blocks
-from .sampling import hash_combine, sample_number
+from .sampling import hash_combine
 from .shadow_layers import add_weakened
 from .types import Geometry, Scene
-from .view import View
 from .wide_layers import LayerHit, chance_layer_wide, passing_layers_wide
-from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-# After so many draws that let a ray pass which is to be stopped it passes: layers that let nearly all pass.
-MAX_TRIES = wp.constant(32)
 
 
 @wp.func
@@ -71,65 +60,6 @@ def meet_layers(geometry: Geometry, paths: Paths, slot: int):
         # The rest of its closures make up for the rays that pass.
         paths.throughput[slot] = paths.throughput[slot] / (1.0 - found[4])
     paths.layer[slot] = wp.vec2i(MISS, 0)
-
-
-@wp.func
-def meet_veil(
-    view: View, scene: Scene, width: int, layers: int, origin: wp.vec3, direction: wp.vec3, hits: PrimaryHits,
-    pixel: int,
-):
-    """Let the half transparent layers before a pixel's hit stop its ray by chance; see gbuffer_layers.filter_primary.
-
-    Whether any does is one number of the pixel's sequence, so that frames take turns evenly; which of several does is
-    drawn until one has. `layers`: LAYERS_LIT where what shines behind them is to be found, see gbuffer_behind.py.
-    """
-    flat = scene.geometry.flat_filtered
-    t_max = hits.t[pixel]
-    share = passing_layers_wide(flat.nodes, flat.triangles, origin, direction, t_max)
-    lit = wp.where(layers == LAYERS_LIT, 1, 0)
-    if lit == 1:
-        light = shining(view, scene, hits, pixel)
-        hits.behind[pixel] = rgba(light * share, wp.where(max_component(light) > 0.0, 1.0, 0.0))
-    seed = layer_seed(view, pixel, width)
-    if sample_number(seed, wp.uint32(view.frame), 0) >= share:
-        tries = int(0)
-        while tries < MAX_TRIES:
-            tries = tries + 1
-            found = chance_layer_wide(
-                flat.nodes, flat.triangles, origin, direction, t_max,
-                hash_combine(seed, wp.uint32(view.frame * MAX_TRIES + tries)))
-            hit = stopping_hit(scene.geometry, found)
-            if hit.instance != MISS:
-                store_stop(hits, pixel, hit, lit)
-                weight = 1.0 / (1.0 - found[4])
-                hits.weight[pixel] = wp.vec3(weight, weight, weight)
-                tries = MAX_TRIES
-
-
-@wp.kernel(cuda_max_registers=64)
-def trace_decided_primary(
-    # In:
-    first: int,
-    views: wp.array[View],
-    scene: Scene,
-    width: int,
-    height: int,
-    layers: int,
-    # Out:
-    hits_out: PrimaryHits,
-):
-    """Find what each pixel shows, behind layers too; see flat_tracing.trace_flat_primary. `layers`: LAYERS_*."""
-    pixel = pixel_in_blocks(first + wp.tid(), width, height)
-    if pixel < 0:
-        return
-    ray = primary_ray(views[0], pixel % width, pixel // width)
-    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
-    hits_out.t[pixel] = hit.t
-    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
-    store_primary_layer(hits_out, pixel, closest_flat_layer(scene.geometry, ray.origin, ray.direction, hit.t))
-    if hits_out.layer[pixel][0] != MISS:
-        meet_veil(load_view(views), scene, width, layers, ray.origin, ray.direction, hits_out, pixel)
 
 
 @wp.kernel(cuda_max_registers=64)

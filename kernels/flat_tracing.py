@@ -78,7 +78,7 @@ def trace_flat_primary(
 
 
 @wp.kernel(cuda_max_registers=56)
-def trace_flat_primary_layers(
+def trace_flat_layered_primary(
     # In:
     first: int,
     views: wp.array[View],
@@ -88,13 +88,16 @@ def trace_flat_primary_layers(
     # Out:
     hits_out: PrimaryHits,
 ):
-    """Find the first triangle in front of each opaque hit that needs a test; see gbuffer_rays.trace_primary_layers."""
+    """Find what each pixel shows and the first triangle before it that needs a test; see trace_primary_layers."""
     pixel = pixel_in_blocks(first + wp.tid(), width, height)
     if pixel < 0:
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    store_primary_layer(hits_out, pixel, closest_flat_layer(
-        scene.geometry, ray.origin, ray.direction, hits_out.t[pixel]))
+    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
+    hits_out.t[pixel] = hit.t
+    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    store_primary_layer(hits_out, pixel, closest_flat_layer(scene.geometry, ray.origin, ray.direction, hit.t))
 
 
 @wp.kernel(cuda_max_registers=56)

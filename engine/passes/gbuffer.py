@@ -7,7 +7,6 @@ import warp as wp
 
 from ...kernels import (
     compaction,
-    decided_layers,
     flat_tracing,
     gbuffer_behind,
     gbuffer_debug,
@@ -28,7 +27,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..emitters import EmitterTable
 from ..frame_graph import FrameGraph
 from ..history import History
-from ..structures import decides_layers, is_flat
+from ..structures import is_flat
 from ..work_list import make_work_list
 
 __all__ = ["GBufferPass"]
@@ -128,14 +127,12 @@ class GBufferPass:
             if len(hits.weight) != count:
                 self._fit_layers(count)
         with graph.section("Primary rays"):
-            if filtered and decides_layers(scene):
-                graph.launch(
-                    decided_layers.trace_decided_primary, in_blocks, [views, scene, width, height, layers], [hits])
-            elif is_flat(scene):
-                graph.launch(flat_tracing.trace_flat_primary, in_blocks, [views, scene, width, height], [hits])
+            if is_flat(scene):
+                trace = flat_tracing.trace_flat_layered_primary if filtered else flat_tracing.trace_flat_primary
+                graph.launch(trace, in_blocks, [views, scene, width, height], [hits])
             else:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
-            if filtered and not decides_layers(scene):
+            if filtered:
                 self._record_layers(
                     graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
         with graph.section("Materials"):
@@ -166,9 +163,7 @@ class GBufferPass:
     ) -> None:
         """Record looking through the layers in front of what pixels show; `lit`: something may shine behind them."""
         width, height, hits = self.width, self.height, self.hits
-        if is_flat(scene):
-            graph.launch(flat_tracing.trace_flat_primary_layers, in_blocks, [views, scene, width, height], [hits])
-        else:
+        if not is_flat(scene):
             graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
         if lean:
             graph.fill_list(
