@@ -197,6 +197,10 @@ def accumulate_light(
     if coarse != NO_CELL:
         add_sample(grid_out.sums, 6 * coarse + 3, arrived + carried)
         wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
+    wide = vertices.far[slot - count]
+    if wide != NO_CELL:
+        add_sample(grid_out.sums, 6 * wide + 3, arrived + carried)
+        wp.atomic_add(grid_out.counts, 2 * wide + 1, 1)
 
 
 @wp.kernel

@@ -15,7 +15,7 @@ import warp as wp
 
 from .cache_cells import needs_cell
 from .cache_rays import Vertices, cell_seed
-from .hash_grid import BUCKET, EMPTY, NO_CELL, HashGrid, cell_key, cell_level, find_key, first_slot
+from .hash_grid import BUCKET, EMPTY, NO_CELL, HashGrid, cell_key, cell_level, find_key, first_slot, wide_key
 from .packing import unpack_normal
 from .paths import Paths
 from .view import View
@@ -81,6 +81,8 @@ def claim_coarse(
     bounce = wp.tid()
     if vertices.source[bounce] != NO_CELL:
         claim_key(grid_out, vertices.coarse[bounce])
+        if grid_out.directions == 0:
+            claim_key(grid_out, wide_key(grid_out, vertices.coarse[bounce]))
 
 
 @wp.kernel

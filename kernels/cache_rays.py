@@ -69,6 +69,8 @@ class Vertices:
     """Per bounce ray: what the cache's indirect light adds to that"""
     around: wp.array[int]
     """Per bounce ray: coarse cell about its source, NO_CELL for none"""
+    far: wp.array[int]
+    """Per bounce ray: wide cell about its source, NO_CELL for none"""
     beyond: wp.array[int]
     """Per bounce ray, while light spreads: coarse cell about its hit, NO_CELL for none"""
 

@@ -31,7 +31,7 @@ from .cache_cells import (
 from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
 from .cache_shade import bounce_reflectance
 from .geometry_math import is_finite3
-from .hash_grid import EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key
+from .hash_grid import EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key, wide_key
 from .packing import rgb, unpack_normal
 from .paths import Paths
 from .view import View, settling_frames
@@ -81,9 +81,10 @@ def balance_bounces(
     control_out: CacheControl,
     vertices_out: Vertices,
 ):
-    """Make the coarse cells about the bounce rays' sources, and sum up the balance of what these hold."""
+    """Make the coarse and wide cells about the bounce rays' sources, and sum up the balance of what these hold."""
     bounce = wp.tid()
     vertices_out.around[bounce] = NO_CELL
+    vertices_out.far[bounce] = NO_CELL
     source = vertices_out.source[bounce]
     if source == NO_CELL:
         return
@@ -91,6 +92,11 @@ def balance_bounces(
     if coarse != NO_CELL:
         grid_out.touched[coarse] = views[0].frame
     vertices_out.around[bounce] = coarse
+    if grid_out.directions == 0:
+        wide = insert_key(grid_out, wide_key(grid_out, vertices_out.coarse[bounce]))
+        if wide != NO_CELL:
+            grid_out.touched[wide] = views[0].frame
+        vertices_out.far[bounce] = wide
     held = grid_out.indirect[source]
     if held[3] > 0.0 and balances_held(views[0], control_out.age[0]):
         add_balance(

@@ -43,7 +43,8 @@ FACE_BIAS_Y = wp.constant(0.995)
 FACE_BIAS_Z = wp.constant(0.99)
 
 # Levels between a cell and the coarse one that stands in for its indirect light until it has some of its own. Cells
-# that rays seldom meet (behind the camera, far off) would otherwise end the light's way after one bounce.
+# that rays seldom meet (behind the camera, far off) would otherwise end the light's way after one bounce. A wide one
+# stands in for the coarse one: where something small has come to, or is seen in a mirror alone, nothing else is known.
 COARSE_LEVELS = wp.constant(2)
 
 # Streams of random numbers of a look-up.
@@ -300,10 +301,30 @@ def coarse_key(
 
 
 @wp.func
+def quartered(index: wp.uint64) -> wp.uint64:
+    """Return the index of the cell four times as wide, of the 17 bits in a key."""
+    return (index & wp.uint64(0x1FFFF)) >> wp.uint64(2)
+
+
+@wp.func
+def wide_key(grid: HashGrid, coarse: wp.int64) -> wp.int64:
+    """Return the key of the cell four times as wide as one, which holds indirect light alone; not of published keys."""
+    if grid.directions == 1:
+        return coarse
+    key = wp.uint64(coarse)
+    wide = wp.uint64(1) << wp.uint64(62)
+    wide = wide | (quartered(key >> wp.uint64(45)) << wp.uint64(45))
+    wide = wide | (quartered(key >> wp.uint64(28)) << wp.uint64(28))
+    wide = wide | (quartered(key >> wp.uint64(11)) << wp.uint64(11))
+    wide = wide | ((((key >> wp.uint64(3)) + wp.uint64(2)) & wp.uint64(255)) << wp.uint64(3))
+    return wp.int64(wide | (key & wp.uint64(7)))
+
+
+@wp.func
 def known_indirect(
     grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
 ) -> wp.vec4:
-    """Return the indirect light of a point's cell (irradiance / pi), of the coarse one where it has none yet.
+    """Return the indirect light of a point's cell (irradiance / pi), else of the coarse one, else of the wide one.
 
     w = samples in it; 0: nothing is known.
     """
@@ -311,9 +332,14 @@ def known_indirect(
     if cell != NO_CELL:
         light = grid.indirect[cell]
     if not light[3] > 0.0:
-        coarse = find_key(grid, coarse_key(grid, view, position, normal, direction, seed))
+        key = coarse_key(grid, view, position, normal, direction, seed)
+        coarse = find_key(grid, key)
         if coarse != NO_CELL:
             light = grid.indirect[coarse]
+        if not light[3] > 0.0:
+            wide = find_key(grid, wide_key(grid, key))
+            if wide != NO_CELL:
+                light = grid.indirect[wide]
     return light
 
 

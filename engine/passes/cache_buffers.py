@@ -48,7 +48,7 @@ VERTEX_ARRAYS = {
     "emission": wp.vec4, "cell": int,
 }
 BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3, "around": int,
-                 "beyond": int}
+                 "far": int, "beyond": int}
 
 CELL_ARRAYS = {
     "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),

@@ -131,3 +131,18 @@ def test_turning_mirrors_forget_what_stood_before_the_wall():
     assert green.sum() > 500
     redder = (picture[..., 0] - picture[..., 1]) - (truth[..., 0] - truth[..., 1])
     assert np.maximum(redder[green] - 0.2, 0.0).sum() < 1.5
+
+
+def test_movers_are_lit_by_what_is_around_them():
+    """Show in a mirror a ball that passes out of view with the light that reaches it from walls, known nowhere yet."""
+    size = (112, 70)
+    made = glossy_scenes.mirrored_mover(size)
+    steps = [(made.change(frame), made.camera) for frame in range(13)]
+    truth, picture = (np.minimum(found, 1.0) for found in (
+        last_frame(made.delta, steps, Integrator.REFERENCE, 96, size=size),
+        last_frame(made.delta, steps, antialiasing=False, size=size)))
+    # The red ball's image; the wall on the left is as red.
+    ball = truth[..., 0] > 3.0 * truth[..., 1]
+    ball[:, :size[0] * 2 // 5] = False
+    assert ball.sum() > 30
+    assert picture[ball, 0].mean() > 0.61 * truth[ball, 0].mean()
