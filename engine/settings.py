@@ -178,8 +178,9 @@ class PerformanceSettings:
         4.0, "Flatten all instances into one structure while that multiplies the unique triangles by less than this",
         low=1.0, high=1e6, soft_high=64.0)
     opacity_maps: bool = setting(
-        True, "Note where leaves and grilles cut out by an image are clear or solid, so that rays need not ask their "
-        "materials: faster, for some memory. Off: ask at every hit")
+        True, "Let rays tell by themselves where leaves and grilles that an image cuts out are clear or solid, and how "
+        "much half transparent things let through, instead of asking their materials: faster, for some memory. Off: "
+        "ask at every hit")
     deterministic: bool = setting(
         False, "Deal the cache's cells by their keys on CUDA, where threads otherwise race for them, so that a full "
         "cache does not differ from run to run: costs half a millisecond a frame. On the processor nothing races")

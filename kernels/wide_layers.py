@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from . import wide_bvh
 from .wide_bvh import POSTPONE, RESULT, WAITING, query_source
 
 __all__ = ["LayerHit", "chance_layer_wide", "closest_layer_wide", "passing_layers_wide", "shadow_layer_wide"]
@@ -18,7 +19,7 @@ LayerHit = wp.types.vector(length=5, dtype=float)
 # The key of a layer tells faces apart as the face does, its lowest bit whether the map says that it is solid.
 _LAYER_KEY = "2 * (int)face_word"
 _LAYER = """unsigned int opacity = opacity_word >> 30;
-                    const bool by_image = (opacity_word & 32u) != 0u;
+                    const bool by_image = (opacity_word & ANSWER_IMAGEu) != 0u;
                     float passing = -1.0f;
                     if (opacity == 3u) {
                         float a = u * scale, b = v * scale, c = 1.0f - a - b;
@@ -30,10 +31,10 @@ _LAYER = """unsigned int opacity = opacity_word >> 30;
                             else if (c >= 1.0f) { c -= 1.0f; micro = 4u * micro + 2u; }
                             else { a = 1.0f - a; b = 1.0f - b; c = 1.0f - c; micro = 4u * micro + 3u; }
                         }
-                        const unsigned int map = map_word + (by_image ? 8u : 0u);
+                        const unsigned int map = map_word + (by_image ? PLACE_WORDSu : 0u);
                         opacity = (load_word(triangle_words, map + (micro >> 4)) >> (2u * (micro & 15u))) & 3u;
                     }
-                    if (opacity == 0u && (opacity_word & 48u) != 0u) {
+                    if (opacity == 0u && (opacity_word & (ANSWER_CONSTANTu | ANSWER_IMAGEu)) != 0u) {
                         if (by_image) {
                             const Row p0 = load(triangle_words, map_word >> 2);
                             const Row p1 = load(triangle_words, (map_word >> 2) + 1u);
@@ -52,15 +53,16 @@ _LAYER = """unsigned int opacity = opacity_word >> 30;
                                 row %= height;
                                 row += row < 0 ? height : 0;
                             } else {
-                                column = column < -2 ? -2 : (column > width ? width : column);
-                                row = row < -2 ? -2 : (row > height ? height : row);
+                                column = column < -IMAGE_BORDER ? -IMAGE_BORDER : (column > width ? width : column);
+                                row = row < -IMAGE_BORDER ? -IMAGE_BORDER : (row > height ? height : row);
                             }
                             const unsigned int four = load_word(
-                                triangle_words, image.w + (unsigned int)((row + 2) * (width + 3) + column + 2));
+                                triangle_words, image.w + (unsigned int)(
+                                    (row + IMAGE_BORDER) * (width + 2 * IMAGE_BORDER - 1) + column + IMAGE_BORDER));
                             const float lower = (float)(four & 255u) * (1.0f - x) + (float)(four >> 8 & 255u) * x;
                             const float upper = (float)(four >> 16 & 255u) * (1.0f - x) + (float)(four >> 24) * x;
-                            const float value = (lower * (1.0f - y) + upper * y) * (512.0f / 255.0f);
-                            const int step = value < 511.0f ? (int)value : 511;
+                            const float value = (lower * (1.0f - y) + upper * y) * (ANSWER_STEPS.0f / 255.0f);
+                            const int step = value < ANSWER_STEPS.0f - 1.0f ? (int)value : ANSWER_STEPS - 1;
                             const float p = as_float(load_word(triangle_words, p1.z + 4u + (unsigned int)step));
                             const float q = as_float(load_word(triangle_words, p1.z + 5u + (unsigned int)step));
                             passing = p + (q - p) * (value - (float)step);
@@ -80,6 +82,8 @@ _LAYER = """unsigned int opacity = opacity_word >> 30;
                         }
                     }
                     """
+for _name in ("ANSWER_CONSTANT", "ANSWER_IMAGE", "ANSWER_STEPS", "IMAGE_BORDER", "PLACE_WORDS"):
+    _LAYER = _LAYER.replace(_name, str(int(getattr(wide_bvh, _name))))
 _CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
                         best_t = t;
                         best_u = u * scale;
