@@ -9,7 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from .intersect import hit_error, instance_shift, triangle_material, world_vertex
-from .lights import LightSample, aim_at_triangle, mean_emission
+from .lamp_sample import LightSample
+from .lights import aim_at_triangle, mean_emission
 from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
 from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene

@@ -13,8 +13,8 @@ import warp as wp
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_previous_surface
 from .geometry_math import INV_PI, is_finite3, luminance, max_component, mean_component, sqr
+from .lamp_sample import LightSample
 from .light_candidate import Candidate, replay
-from .lights import LightSample
 from .reflection_lights import is_singular, light_part, light_side_share, sample_roughness, shown_zone
 from .reflection_types import ReflectionOptions
 from .specular_lobes import lobes_pdf, specular_lobes, surface_alpha

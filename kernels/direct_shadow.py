@@ -28,8 +28,8 @@ from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
 from .geometry_math import luminance
 from .intersect import any_hit, offset_origin, surface_point
 from .lamp_hit import FAR
+from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
-from .lights import LightSample
 from .packed_halves import pack_halves
 from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit

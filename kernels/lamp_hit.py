@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where rays meet lamps, and how much a lamp's cone or spread lets through in a direction.
 
-Lamps have Cycles' shapes and units, see lights.py.
+Lamps have Cycles' shapes and units, see lamp_sample.py.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import PI, TWO_PI, safe_sqrt
+from .solid_angle import is_close, sampled_angle, spherical_rectangle
 from .types import LIGHT_AREA, LIGHT_ELLIPSE, LIGHT_SPHERE, LIGHT_SPOT, LIGHT_SUN, Light
 
 # Distance that stands for infinity; its square still fits a float.
@@ -96,6 +97,23 @@ def round_lamp_hit(light: Light, to_light: wp.vec3, direction: wp.vec3, t_max: f
 
 
 @wp.func
+def area_lamp_pdf(light: Light, to_light: wp.vec3, t: float, cosine: float) -> float:
+    """Return the pdf of drawing a direction to an area lamp.
+
+    Args:
+        light: The lamp.
+        to_light: From the receiver to its centre [m].
+        t: To the point that is met [m].
+        cosine: Of the direction at the lamp.
+    """
+    if (light.flags & LIGHT_ELLIPSE) == 0 and is_close(to_light, light.axis_u, light.axis_v):
+        angle = sampled_angle(spherical_rectangle(to_light, light.axis_u, light.axis_v).angle)
+        if angle > 0.0:
+            return 1.0 / angle
+    return t * t / (cosine * light.area)
+
+
+@wp.func
 def lamp_hit(light: Light, origin: wp.vec3, direction: wp.vec3, t_max: float) -> LampHit:
     """Intersect a ray with one lamp of finite size."""
     hit = LampHit()
@@ -125,6 +143,6 @@ def lamp_hit(light: Light, origin: wp.vec3, direction: wp.vec3, t_max: float) ->
         if inside:
             hit.t = t
             hit.radiance = light.radiance * spread_attenuation(light, -direction)
-            hit.pdf = t * t / (cosine * light.area)
+            hit.pdf = area_lamp_pdf(light, to_light, t, cosine)
         return hit
     return round_lamp_hit(light, to_light, direction, t_max)

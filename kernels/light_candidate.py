@@ -16,8 +16,8 @@ from .environment_split import EnvironmentSplit
 from .environment_table import equirect_direction
 from .geometry_math import PI, TWO_PI, safe_sqrt
 from .lamp_hit import FAR
+from .lamp_sample import LightSample, sample_lamp
 from .light_tree import choose_by_tree
-from .lights import LightSample, sample_lamp
 from .sampling import BELOW_ONE
 from .types import LIGHT_ENVIRONMENT, Environment, Lights, Scene
 

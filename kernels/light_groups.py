@@ -14,8 +14,9 @@ from .environment_table import sample_environment
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lamp_hit import FAR, lamp_hit
+from .lamp_sample import LightSample, sample_lamp
 from .light_tree import choose_by_tree
-from .lights import LightSample, choose_class, class_total, lamp_chance, sample_emitter, sample_lamp
+from .lights import choose_class, class_total, lamp_chance, sample_emitter
 from .packing import rgb, rgba
 from .path_shading import LIGHT_CANDIDATES, candidate_place
 from .paths import ENDED, Options, Paths, clamp_light, limit_at, make_hit

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light sampling: choose a lamp, an emissive triangle or the world, draw a direction; and the pdf of hits.
 
-Lamps have Cycles' shapes and units (kernel/light/ of Cycles 5.2): spheres or disks that face the receiver, suns as
-cones, one-sided rectangles and ellipses with a spread like a soft-box grid. Mesh emitters shine from both sides.
+Mesh emitters shine from both sides. Lamps: lamp_sample.py.
 """
 
 from __future__ import annotations
@@ -10,152 +9,15 @@ from __future__ import annotations
 import warp as wp
 
 from .environment_table import environment_pdf, sample_environment
-from .geometry_math import PI, TWO_PI, orthonormal_tangent, safe_sqrt, transform_point
+from .geometry_math import TWO_PI, transform_point
 from .intersect import hit_error, instance_shift
-from .lamp_hit import FAR, one_minus_cos_of_sphere, spot_attenuation, spread_attenuation
+from .lamp_hit import FAR
+from .lamp_sample import LightSample, sample_lamp
 from .light_tree import chance_by_tree, choose_by_tree
-from .sampling import BELOW_ONE, sample_cone, sample_disk, sample_sphere, sample_triangle
-from .types import (
-    LIGHT_AREA,
-    LIGHT_ELLIPSE,
-    LIGHT_ENVIRONMENT,
-    LIGHT_HITTABLE,
-    LIGHT_NO_SHADOW,
-    LIGHT_SPHERE,
-    LIGHT_SUN,
-    LIGHT_TRIANGLE,
-    Light,
-    Lights,
-    Scene,
-)
+from .sampling import BELOW_ONE, sample_triangle
+from .solid_angle import is_close, sample_seen_triangle, sampled_angle, solid_angle, spherical_triangle
+from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, Light, Lights, Scene
 from .wide_loads import load_corner, load_instance
-
-
-@wp.struct
-class LightSample:
-    """One direction towards a light."""
-
-    kind: int
-    """LIGHT_*, or -1 where nothing could be sampled"""
-    wi: wp.vec3
-    distance: float
-    """Up to the light's surface; FAR for suns and the world"""
-    radiance: wp.vec3
-    """Arriving radiance (delta lights: already divided by distance squared); 1 where a program must be evaluated"""
-    brightness: float
-    """About what a program or the emission of a triangle's material will tell; 1 where `radiance` is all"""
-    pdf: float
-    """Solid angle, choice of the light included; for delta lights the choice alone"""
-    delta: int
-    """1: rays can't meet this light: no multiple importance sampling"""
-    shadow: int
-    """0: casts no shadow"""
-    visibility: int
-    error: float
-    """Float error of the sampled point along `normal`"""
-    normal: wp.vec3
-    """Of the light's surface, towards the receiver"""
-    instance: int
-    triangle: int
-    u: float
-    v: float
-
-
-@wp.func
-def sample_round_lamp(light: Light, position: wp.vec3, u: wp.vec2, sample: LightSample) -> LightSample:
-    """Sample a point or spot lamp."""
-    s = sample
-    to_light = light.position - position
-    d2 = wp.dot(to_light, to_light)
-    if d2 <= 0.0:
-        s.kind = -1
-        return s
-    d = wp.sqrt(d2)
-    axis = to_light / d
-    r2 = light.radius * light.radius
-    s.normal = -axis
-    if r2 == 0.0:
-        s.wi = axis
-        s.distance = d
-        s.radiance = light.radiance * (spot_attenuation(light, -axis) / d2)
-        s.pdf = 1.0
-        s.delta = 1
-        return s
-    if (light.flags & LIGHT_SPHERE) != 0:
-        if d2 > r2:
-            omc = one_minus_cos_of_sphere(r2 / d2)
-            s.wi = sample_cone(axis, omc, u)
-            s.pdf = 1.0 / (TWO_PI * omc)
-            cosine = wp.dot(s.wi, axis)
-            s.distance = d * cosine - safe_sqrt(r2 - d2 * (1.0 - cosine * cosine))
-            s.radiance = light.radiance * spot_attenuation(light, -s.wi)
-        else:
-            s.wi = sample_sphere(u)
-            s.pdf = 1.0 / (4.0 * PI)
-            along = wp.dot(s.wi, to_light)
-            s.distance = along + safe_sqrt(r2 - d2 + along * along)
-            s.radiance = light.radiance
-        return s
-    disk = sample_disk(u) * light.radius
-    tangent = orthonormal_tangent(axis)
-    target = to_light + tangent * disk[0] + wp.cross(axis, tangent) * disk[1]
-    s.distance = wp.length(target)
-    s.wi = target / s.distance
-    cosine = wp.max(wp.dot(s.wi, axis), 1.0e-7)
-    s.pdf = s.distance * s.distance / (cosine * PI * r2)
-    s.radiance = light.radiance * spot_attenuation(light, -s.wi)
-    return s
-
-
-@wp.func
-def sample_area_lamp(light: Light, position: wp.vec3, u: wp.vec2, sample: LightSample) -> LightSample:
-    """Sample a rectangle or an ellipse by area."""
-    s = sample
-    offset = light.axis_u * (u[0] - 0.5) + light.axis_v * (u[1] - 0.5)
-    if (light.flags & LIGHT_ELLIPSE) != 0:
-        disk = sample_disk(u) * 0.5
-        offset = light.axis_u * disk[0] + light.axis_v * disk[1]
-    target = light.position + offset - position
-    s.distance = wp.length(target)
-    if s.distance <= 0.0:
-        s.kind = -1
-        return s
-    s.wi = target / s.distance
-    cosine = -wp.dot(s.wi, light.direction)
-    if cosine <= 1.0e-7:
-        s.kind = -1
-        return s
-    s.normal = light.direction
-    s.pdf = s.distance * s.distance / (cosine * light.area)
-    s.radiance = light.radiance * spread_attenuation(light, -s.wi)
-    return s
-
-
-@wp.func
-def sample_lamp(light: Light, position: wp.vec3, u: wp.vec2) -> LightSample:
-    """Draw a direction from `position` to a lamp."""
-    s = LightSample()
-    s.kind = light.kind
-    s.brightness = 1.0
-    s.shadow = wp.where((light.flags & LIGHT_NO_SHADOW) != 0, 0, 1)
-    s.visibility = light.visibility
-    s.delta = wp.where((light.flags & LIGHT_HITTABLE) != 0, 0, 1)
-    s.error = 0.0
-    if light.kind == LIGHT_SUN:
-        s.distance = FAR
-        s.normal = light.direction
-        s.radiance = light.radiance
-        if light.one_minus_cos > 0.0:
-            s.wi = sample_cone(-light.direction, light.one_minus_cos, u)
-            s.pdf = 1.0 / (TWO_PI * light.one_minus_cos)
-        else:
-            s.wi = -light.direction
-            s.pdf = 1.0
-            s.delta = 1
-        return s
-    if light.kind == LIGHT_AREA:
-        return sample_area_lamp(light, position, u, s)
-    return sample_round_lamp(light, position, u, s)
 
 
 @wp.func
@@ -194,7 +56,10 @@ def mean_emission(lights: Lights, emitter: int, area: float) -> float:
 
 @wp.func
 def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) -> LightSample:
-    """Draw a direction to an emissive triangle, uniform by area; the radiance is left to its material."""
+    """Draw a direction to an emissive triangle; the radiance is left to its material.
+
+    Uniform by solid angle where it is close, else by area.
+    """
     geometry = scene.geometry
     s = LightSample()
     s.kind = LIGHT_TRIANGLE
@@ -209,12 +74,20 @@ def sample_emitter(scene: Scene, emitter: int, position: wp.vec3, u: wp.vec2) ->
     p1 = transform_point(instance.to_world, load_corner(geometry, s.triangle, 1))
     p2 = transform_point(instance.to_world, load_corner(geometry, s.triangle, 2))
     b = sample_triangle(u)
+    angle = float(0.0)
+    if is_close(p0 - position, p1 - p0, p2 - p0):
+        seen = spherical_triangle(p0 - position, p1 - position, p2 - position)
+        angle = sampled_angle(solid_angle(seen))
+        if angle > 0.0:
+            b = sample_seen_triangle(p0 - position, p1 - position, p2 - position, seen, angle, u)
     s.u = b[0]
     s.v = b[1]
     target = p0 * (1.0 - b[0] - b[1]) + p1 * b[0] + p2 * b[1] - position
     s = aim_at_triangle(s, target, wp.cross(p1 - p0, p2 - p0))
     if s.kind < 0:
         return s
+    if angle > 0.0:
+        s.pdf = 1.0 / angle
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
     s.brightness = mean_emission(scene.lights, emitter, 0.5 * wp.length(wp.cross(p1 - p0, p2 - p0)))
     s.error = hit_error(p0, p1, p2, b[0], b[1], s.normal, instance_shift(geometry, s.instance))
@@ -391,4 +264,8 @@ def emitter_pdf(
         return 0.0
     chance = lights.weight[0] / wp.max(class_total(lights, normal), 1.0e-30) * chance_by_tree(
         lights.tree, lights.local_lamp_count + emitter, origin, normal)
+    if is_close(p0 - origin, p1 - p0, p2 - p0):
+        angle = sampled_angle(solid_angle(spherical_triangle(p0 - origin, p1 - origin, p2 - origin)))
+        if angle > 0.0:
+            return chance / angle
     return chance * t * t / projected

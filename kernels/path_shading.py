@@ -12,7 +12,8 @@ import warp as wp
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
-from .lights import LightSample, class_total, emitter_pdf, sample_light_of
+from .lamp_sample import LightSample
+from .lights import class_total, emitter_pdf, sample_light_of
 from .paths import (
     LONG_PATH,
     PENDING_NONE,

@@ -16,7 +16,8 @@ from .environment_table import texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point, triangle_material
-from .lights import LightSample, cell_side, sample_light
+from .lamp_sample import LightSample
+from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
 from .paths import Paths, has_hit, load_hit

@@ -24,9 +24,9 @@ from .geometry_math import PI, TWO_PI, max_component, safe_sqrt, sqr
 from .ggx import SPECULAR_ALPHA2
 from .intersect import world_vertex
 from .lamp_hit import lamp_hit
+from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, CANDIDATE_LAMP, Candidate, candidate_index, candidate_kind
 from .light_tree import chance_by_tree
-from .lights import LightSample
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, fading, ray_share, sampled_share
 from .specular_lobes import surface_alpha
 from .types import LIGHT_HITTABLE, Lights, LightTree, Scene

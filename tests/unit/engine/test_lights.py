@@ -113,6 +113,26 @@ def test_emissive_mesh_both_sides():
         np.testing.assert_allclose(radiance, expected, rtol=5e-3)
 
 
+def standing_form_factor(distance, half, height):
+    """Return the form factor from a point to a rectangle that stands on its plane, by summation."""
+    y, z = np.meshgrid((np.arange(800) + 0.5) / 400 * half - half, (np.arange(800) + 0.5) / 800 * height)
+    d2 = distance**2 + y**2 + z**2
+    return (z * distance / d2**2 / np.pi).sum() * (half / 400) * (height / 800)
+
+
+@pytest.mark.parametrize("distance", [0.02, 0.2, 2.0])
+def test_emissive_walls_close_by(distance):
+    """Light a plane by the wall that stands on it, by its form factor, however it is sampled at this distance."""
+    wall = np.array([[0, 0, 1, -distance], [1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 0, 1]], np.float64)
+    image = scenes.render(
+        scenes.delta({"plane": scenes.quad(20.0), "wall": scenes.quad(1.0)},
+                     [("plane", np.eye(4), "grey"), ("wall", wall, "glow")],
+                     {"grey": scenes.material(color=ALBEDO), "glow": scenes.emitter(5.0)}, (), 0.0),
+        TINY, size=(48, 48), samples=16, max_bounces=2)[..., 0]
+    expected = ALBEDO * 5.0 * standing_form_factor(distance, 1.0, 2.0)
+    np.testing.assert_allclose(image.mean(dtype=np.float64), expected, rtol=0.005)
+
+
 def test_world():
     """Reflect a uniform world by exactly the albedo."""
     np.testing.assert_allclose(plane_radiance(background=2.0), 2.0 * ALBEDO, rtol=2e-3)
