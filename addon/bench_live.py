@@ -36,6 +36,8 @@ from .bench_store import Job
 
 __all__ = ["LiveScene"]
 
+FINISHED_AT = 4
+"""Frames after which finishing is timed: pictures of fewer are denoised in haste"""
 WARM_UP_SECONDS = 3.0
 """Longest run before anything is timed: records launches, and path-traces where the picture rests soon enough"""
 CURVE_SHARE = 1.1
@@ -108,7 +110,7 @@ class LiveScene:
         self.check()
         curve = frame_curve(session, CURVE_SHARE * min(longest, LONG), self.stopped)
         self.check()
-        finishes = [shoot(session, 1, finish).finish for _ in range(max(1, self.repetitions))]
+        finishes = [shoot(session, FINISHED_AT, finish).finish for _ in range(max(1, self.repetitions))]
         self.check()
         facts = {"curve": curve, "finish": statistics.median(finishes), "device": session.device_name,
                  "per_frame": curve[-1][1] / curve[-1][0], "scene": self._scene_facts(),

@@ -32,6 +32,9 @@ picture and at most a quarter of them, beside which they take little time. With 
 denoised themselves: their noise at edges and behind veils would be taken for texture"""
 PROCESSOR_GUIDES = 2
 """Fewest on the processor: eight take as long there as a sample of the picture, which is worth ten times as much"""
+PROCESSOR_HASTE = 3
+"""Samples below which guides are not denoised on the processor: that takes as long as a sample or two, and a second
+sample beside noisy guides is worth more than a first beside clean ones"""
 MIRRORS = 4
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
@@ -112,11 +115,13 @@ class FinalDenoise:
             source = wp.empty(count, dtype=wp.vec4, device=self.device)
             launch(film.resolve_color, count, [buffers.film, int(transparent)], [source], self.device)
         albedo, normal = guides
+        hasty = traced is not None and samples < PROCESSOR_HASTE and not traced[0].cuda
+        prefilter = not (self._noiseless or hasty)
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
-            color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1], clean=clean,
-            prefilter=not self._noiseless))
-        self._noiseless = True
+            color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1],
+            clean=clean and (self._noiseless or prefilter), prefilter=prefilter))
+        self._noiseless = self._noiseless or prefilter
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
         if traced is None:

@@ -173,6 +173,23 @@ def test_guides_of_few_samples_are_denoised_once(monkeypatch):
     assert asked == [True, False, True, False]
 
 
+def test_few_samples_are_denoised_in_haste(monkeypatch):
+    """Leave the guides of one or two samples as they are on the processor, and say that they are noisy."""
+    asked = []
+
+    def filtered(library, images, processor=False):
+        asked.append((images.prefilter, images.clean))
+        wp.copy(images.output, images.color)
+        return "cpu"
+
+    monkeypatch.setattr(final_denoise.oidn, "denoise", filtered)
+    made = open_session(Integrator.REFERENCE)
+    for _ in range(4):
+        made.step(1)
+        made.read_denoised(None)
+    assert asked == [(False, False), (False, False), (True, True), (False, True)]
+
+
 def test_guides_are_filtered_in_place(library):
     """Take noise off the guides themselves, and leave them alone unless asked."""
     rng = np.random.default_rng(2)
