@@ -12,13 +12,16 @@ from dataclasses import dataclass, field
 from .bench_store import MOVING, Job
 
 __all__ = [
-    "BUDGETS", "CLOCKS", "LONG", "TOLERANCE", "Plan", "fit_line", "make_plan", "most_frames", "samples_within"]
+    "BUDGETS", "CLOCKS", "LONG", "LONG_DENOISED", "TOLERANCE", "Plan", "fit_line", "make_plan", "most_frames",
+    "samples_within"]
 
 BUDGETS = (0.005, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Times [s] at which engines are compared unless others are asked for"""
 CLOCKS = ("warm", "cold")
 LONG = 0.5
 """Budgets above this are measured once, and pictures of one engine share samples [s]"""
+LONG_DENOISED = 3.0
+"""The same of denoised pictures: of few samples, which take less time to finish [s]"""
 TOLERANCE = 1.02
 """Share of a budget that a picture may take"""
 FULL = 0.9

@@ -22,7 +22,7 @@ from .bench_cold import render_cold
 from .bench_engines import BenchScene, open_scene, save_picture, sentence
 from .bench_live import LiveScene
 from .bench_picture import save_comparison
-from .bench_plan import LONG, Plan, make_plan
+from .bench_plan import LONG, LONG_DENOISED, Plan, make_plan
 from .bench_progress import Interruption, Progress
 from .bench_report import NoiseRow, SceneResult, format_row
 from .bench_rivals import calibrate, render_shared, render_warm, shareable
@@ -165,11 +165,12 @@ class SceneBench:
 
     def _own_warm(self, jobs: list[Job]) -> None:
         """Render Burnish's pictures of the warm clock."""
-        for engine, wanted in by_engine([job for job in jobs if job.budget <= LONG]).items():
+        short = [job for job in jobs if job.budget <= (LONG_DENOISED if job.engine.endswith("+oidn") else LONG)]
+        for engine, wanted in by_engine(short).items():
             self._guarded(wanted, lambda e=engine, w=wanted: self.live.render_short(
                 e, w, self.facts(e), self.pictures_of, self.begin, self.done))
         for engines in (("realtime",), ("realtime+oidn",), ("reference", "reference+oidn")):
-            long = [job for job in jobs if job.budget > LONG and job.engine in engines]
+            long = [job for job in jobs if job not in short and job.engine in engines]
             if long:
                 self._guarded(long, lambda w=long: self.live.render_long(
                     w, {engine: self.facts(engine) for engine in by_engine(w)}, self.pictures_of, self.begin,
