@@ -14,6 +14,9 @@ from .properties import enum_items, title
 
 __all__ = ["BURNISH_OT_apply_preset", "classes", "current_preset", "draw_presets"]
 
+# Not in the annotation: before Python 3.12 Blender can't evaluate one that has a loop.
+CHOICES = [item for item in enum_items(Preset) if item[0] != Preset.CUSTOM.name]
+
 
 def current_preset(settings: Any) -> Preset:
     """Return the preset that a scene's settings (`scene.burnish`) are, Preset.CUSTOM for none."""
@@ -44,8 +47,7 @@ class BURNISH_OT_apply_preset(bpy.types.Operator):
     bl_description = "Set probes, cache, direct light, reflections and denoiser of this scene; samples stay"
     bl_options = {'REGISTER', 'UNDO'}
 
-    preset: bpy.props.EnumProperty(
-        name="Preset", items=[item for item in enum_items(Preset) if item[0] != Preset.CUSTOM.name])
+    preset: bpy.props.EnumProperty(name="Preset", items=CHOICES)
 
     def execute(self, context: Any) -> set[str]:
         """Set."""

@@ -149,7 +149,8 @@ def test_command_line(run_python: Run, tmp_path: Path) -> None:
     total = float(re.search(r"^one frame +([\d.]+) ms$", text, re.M)[1])
     assert sum(map(float, sections)) == pytest.approx(total, rel=0.01)
     assert re.search(r"^approximated: reflections of a roughness from 0.6 on take diffuse light", text, re.M), text
-    assert text.rstrip().splitlines()[-1].startswith(f"{tmp_path / 'first.exr'} 48x32 3 samples")
+    # Not always the last line: Blender 5.0 speaks of memory as it ends.
+    assert any(line.startswith(f"{tmp_path / 'first.exr'} 48x32 3 samples") for line in text.splitlines()), text
     # Another process; the timed frame runs section by section.
     render(("second.exr",))
     normals, picture, second = (np.asarray(oiio.ImageBuf(str(tmp_path / f"{name}.exr")).get_pixels(oiio.FLOAT))[..., :3]

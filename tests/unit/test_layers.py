@@ -166,3 +166,14 @@ def test_files_are_short_and_licensed() -> None:
         if len(lines) > MAX_LINES:
             errors.append(f"{relative(path)} has {len(lines)} lines, more than {MAX_LINES}")
     assert not errors, "\n".join(errors)
+
+
+@pytest.mark.parametrize("path", [path for path in package_files() if path.parent.name in ("addon", "ui")],
+                         ids=lambda path: str(path.relative_to(ROOT)))
+def test_annotated_properties_have_no_loops(path: Path) -> None:
+    """Keep scopes of their own out of the annotations of Blender's classes, which it can't evaluate on Python 3.11."""
+    loops = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.Lambda)
+    classes = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ClassDef)]
+    found = [node.lineno for each in classes for node in each.body if isinstance(node, ast.AnnAssign)
+             and any(isinstance(part, loops) for part in ast.walk(node.annotation))]
+    assert not found
