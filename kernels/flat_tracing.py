@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import finish_cache_shadow
-from .gbuffer_rays import PrimaryHits, expected_distance, primary_ray, store_primary_hit, store_primary_layer
+from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
 from .intersect import MISS, Hit, Layer, any_static, closest_static, static_layer, static_shadow_layer
 from .paths import ENDED, Options, Paths, load_hit, store_hit, take_layer
 from .pixel_order import pixel_in_blocks
@@ -63,8 +63,6 @@ def trace_flat_primary(
     scene: Scene,
     width: int,
     height: int,
-    distances: wp.array[float],
-    places: wp.array[wp.vec2],
     # Out:
     hits_out: PrimaryHits,
 ):
@@ -73,14 +71,10 @@ def trace_flat_primary(
     if pixel < 0:
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    t_max = expected_distance(distances, places, pixel, width, height, ray.t_max)
-    hit = Hit()
-    looking = bool(True)
-    while looking:
-        hit = closest_flat(scene.geometry, ray.origin, ray.direction, t_max)
-        looking = hit.instance == MISS and t_max < ray.t_max
-        t_max = ray.t_max
-    store_primary_hit(hits_out, pixel, hit)
+    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
+    hits_out.t[pixel] = hit.t
+    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -91,8 +85,6 @@ def trace_flat_layered_primary(
     scene: Scene,
     width: int,
     height: int,
-    distances: wp.array[float],
-    places: wp.array[wp.vec2],
     # Out:
     hits_out: PrimaryHits,
 ):
@@ -101,17 +93,11 @@ def trace_flat_layered_primary(
     if pixel < 0:
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    t_max = expected_distance(distances, places, pixel, width, height, ray.t_max)
-    hit = Hit()
-    layer = Layer()
-    looking = bool(True)
-    while looking:
-        hit = closest_flat(scene.geometry, ray.origin, ray.direction, t_max)
-        layer = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hit.t)
-        looking = hit.instance == MISS and layer.solid == 0 and t_max < ray.t_max
-        t_max = ray.t_max
-    store_primary_hit(hits_out, pixel, hit)
-    store_primary_layer(hits_out, pixel, layer)
+    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
+    hits_out.t[pixel] = hit.t
+    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    store_primary_layer(hits_out, pixel, closest_flat_layer(scene.geometry, ray.origin, ray.direction, hit.t))
 
 
 @wp.kernel(cuda_max_registers=56)

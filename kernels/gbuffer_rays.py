@@ -11,7 +11,7 @@ import warp as wp
 from .camera import CameraRay, camera_ray
 from .gbuffer import SURFACE_EMITS, SURFACE_VEILED, GBuffer
 from .geometry_math import is_finite3
-from .intersect import MISS, Hit, Layer, closest_hit, closest_layer
+from .intersect import MISS, Layer, closest_hit, closest_layer
 from .lamp_hit import FAR
 from .packing import from_half, rgba, to_half
 from .reflection_lights import lamps_along
@@ -20,9 +20,6 @@ from .view import View, film_position
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-
-# By how much farther away than in the frame before a surface may be for a ray to find it at the first try.
-EXPECTED_SLACK = wp.constant(1.02)
 
 # How kernels are told of layers: there are none, there are some, and something may shine behind them.
 LAYERS_NONE = wp.constant(0)
@@ -56,44 +53,6 @@ def primary_ray(view: View, x: int, y: int) -> CameraRay:
     frame = view.camera
     frame.aperture_radius = 0.0
     return camera_ray(frame, film_position(view, x, y), wp.vec2(0.0, 0.0))
-
-
-@wp.func
-def expected_distance(
-    distances: wp.array[float], places: wp.array[wp.vec2], pixel: int, width: int, height: int, t_max: float,
-) -> float:
-    """Return a distance before which a pixel's ray probably ends: rays that may go no farther visit fewer nodes.
-
-    That of the farthest of 4x4 pixels about the place where things now here were in the frame before, if they go on
-    moving as they did then.
-
-    Args:
-        distances: PrimaryHits.t of the frame before; 0 where there was none.
-        places: Reprojection.position of the frame before.
-        pixel: Whose ray.
-        width: Of the picture [px].
-        height: Likewise.
-        t_max: Where the ray ends in any case.
-    """
-    place = places[pixel]
-    left = int(wp.floor(place[0] - 0.5)) - 1
-    bottom = int(wp.floor(place[1] - 0.5)) - 1
-    farthest = float(0.0)
-    for tap in range(16):
-        i = wp.clamp(left + (tap & 3), 0, width - 1)
-        j = wp.clamp(bottom + (tap >> 2), 0, height - 1)
-        farthest = wp.max(farthest, distances[j * width + i])
-    if farthest <= 0.0:
-        return t_max
-    return wp.min(EXPECTED_SLACK * farthest, t_max)
-
-
-@wp.func
-def store_primary_hit(hits: PrimaryHits, pixel: int, hit: Hit):
-    """Store what a pixel's ray has met."""
-    hits.t[pixel] = hit.t
-    hits.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
 
 
 @wp.func
@@ -146,23 +105,16 @@ def trace_primary(
     views: wp.array[View],
     scene: Scene,
     width: int,
-    height: int,
-    distances: wp.array[float],
-    places: wp.array[wp.vec2],
     # Out:
     hits_out: PrimaryHits,
 ):
-    """Find what each pixel shows: the closest opaque hit; `distances`, `places`: see expected_distance."""
+    """Find what each pixel shows: the closest opaque hit."""
     pixel = first + wp.tid()
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    t_max = expected_distance(distances, places, pixel, width, height, ray.t_max)
-    hit = Hit()
-    looking = bool(True)
-    while looking:
-        hit = closest_hit(scene.geometry, ray.origin, ray.direction, t_max)
-        looking = hit.instance == MISS and t_max < ray.t_max
-        t_max = ray.t_max
-    store_primary_hit(hits_out, pixel, hit)
+    hit = closest_hit(scene.geometry, ray.origin, ray.direction, ray.t_max)
+    hits_out.t[pixel] = hit.t
+    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
 
 
 @wp.kernel

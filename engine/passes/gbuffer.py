@@ -72,9 +72,8 @@ class GBufferPass:
         self.width, self.height = width, height
         count = width * height
         self.history: History[GBuffer] = History("gbuffer", lambda: self._fill(GBuffer(), GBUFFER_ARRAYS, count))
-        # Of the frame before only distances are of use.
-        self.hits = tuple(self._fill(PrimaryHits(), {"t": wp.float32}, count) for _ in range(2))
-        self._share({"hit": wp.vec2i, "barycentrics": wp.vec2}, count)
+        self.hits = self._fill(
+            PrimaryHits(), {"t": wp.float32, "hit": wp.vec2i, "barycentrics": wp.vec2}, count)
         self._fit_layers(1)
         self.left = make_work_list(count, self.device)
         self.reprojection = self._fill(Reprojection(), {"position": wp.vec2, "taps": wp.uint8}, count)
@@ -84,16 +83,9 @@ class GBufferPass:
             setattr(buffers, name, wp.zeros(count, dtype=dtype, device=self.device))
         return buffers
 
-    def _share(self, arrays: dict[str, type], count: int) -> None:
-        """Give the hits of both parities the same arrays."""
-        for name, dtype in arrays.items():
-            array = wp.zeros(count, dtype=dtype, device=self.device)
-            for hits in self.hits:
-                setattr(hits, name, array)
-
     def _fit_layers(self, count: int) -> None:
         """Allocate what only scenes with transparent layers need."""
-        self._share({
+        self._fill(self.hits, {
             "layer_t": wp.float32, "layer": wp.vec2i, "layer_barycentrics": wp.vec2, "weight": wp.vec3,
             "behind": wp.vec4}, count)
         self.layered = make_work_list(count, self.device)
@@ -101,8 +93,6 @@ class GBufferPass:
     def reset(self) -> None:
         """Forget the frame before."""
         self.history.reset()
-        for hits in self.hits:
-            hits.t.zero_()
 
     def current(self, parity: int) -> GBuffer:
         """Return the G-buffer that a frame of this parity writes."""
@@ -128,8 +118,7 @@ class GBufferPass:
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
             shining: Whether layers may hide what shines without a program (see shines_plainly).
         """
-        width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits[parity]
-        before = [self.hits[1 - parity].t, self.reprojection.position]
+        width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
         count, side = width * height, int(PIXEL_BLOCK)
         in_blocks = -(-width // side) * -(-height // side) * side * side
         layers = int(gbuffer_rays.LAYERS_NONE)
@@ -140,12 +129,12 @@ class GBufferPass:
         with graph.section("Primary rays"):
             if is_flat(scene):
                 trace = flat_tracing.trace_flat_layered_primary if filtered else flat_tracing.trace_flat_primary
-                graph.launch(trace, in_blocks, [views, scene, width, height, *before], [hits])
+                graph.launch(trace, in_blocks, [views, scene, width, height], [hits])
             else:
-                graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width, height, *before], [hits])
+                graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
             if filtered:
                 self._record_layers(
-                    graph, scene, views, in_blocks, hits, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
+                    graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
         with graph.section("Materials"):
             graph.launch(
                 gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, layers, hits], [gbuffer])
@@ -170,11 +159,10 @@ class GBufferPass:
                 [self.reprojection])
 
     def _record_layers(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, hits: PrimaryHits, lean: bool,
-        lit: bool,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool, lit: bool,
     ) -> None:
         """Record looking through the layers in front of what pixels show; `lit`: something may shine behind them."""
-        width, height = self.width, self.height
+        width, height, hits = self.width, self.height, self.hits
         if not is_flat(scene):
             graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
         if lean:

@@ -13,7 +13,6 @@ from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.gbuffer import GBufferPass
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import MaterialData, SceneDelta, Visibility
-from burnish.engine.structures import is_flat
 from burnish.kernels import gbuffer
 
 from tests import scenes
@@ -49,7 +48,7 @@ def exact_points(frames, picture):
     """Return the hit points [h, w, 3] by the barycentrics of the ray query."""
     store = frames.scene.store
     hit = picture["hit"]
-    uv = frames.gbuffer_pass.hits[0].barycentrics.numpy().reshape(*hit.shape[:2], 2).astype(np.float64)
+    uv = frames.gbuffer_pass.hits.barycentrics.numpy().reshape(*hit.shape[:2], 2).astype(np.float64)
     corners = store.positions.array.numpy()[store.triangles.array.numpy()[hit[..., 1]]].astype(np.float64)
     weights = np.stack([1 - uv.sum(-1), uv[..., 0], uv[..., 1]], -1)
     local = (corners * weights[..., None]).sum(-2)
@@ -66,39 +65,6 @@ def test_positions_from_depth_are_the_hits(orthographic):
     assert set(np.unique(picture["hit"][..., 0])) == {0, 1}
     # Barycentrics are floats: on a plane 40 across they round by up to 5e-6.
     np.testing.assert_allclose(picture["position"], exact_points(frames, picture), atol=8e-6)
-
-
-@pytest.mark.parametrize("kind", ["flat", "layered", "instanced"])
-def test_hits_are_the_same_wherever_they_are_expected(kind):
-    """Find the same hits whatever the frame before says of where they are: too near, too far, out of the picture."""
-    delta = plane_and_ball()
-    if kind == "layered":  # Solid leaves, told by their map, and veils in front of the ball.
-        delta.materials = dict(GREY, solid=dataclasses.replace(scenes.material(), has_transparency=True),
-                               veil=scenes.transparent(0.5))
-        delta.meshes["leaf"] = scenes.quad(0.3)
-        delta.instances = scenes.instances(
-            [("plane", np.eye(4), "grey"), ("ball", scenes.place(z=1.0), "grey"),
-             ("leaf", scenes.place(x=0.3, z=1.6), "solid"), ("leaf", scenes.place(x=-0.3, z=1.7), "veil")])
-    frames = GBufferFrames(delta, (24, 24))
-    if kind == "instanced":
-        frames.update(SceneDelta(instances=plane_and_ball((0.1, 0.0, 1.0)).instances))
-    assert is_flat(frames.scene.scene) == (kind != "instanced")
-    assert frames.scene.structures.has_filtered == (kind == "layered")
-    camera, rng = scenes.camera_above(3.0, 1.0), np.random.default_rng(1)
-    expected = frames.shot(camera)
-    assert len(np.unique(expected["hit"][..., 0])) >= 2
-    count = 24 * 24
-    for distances in (np.zeros(count), np.full(count, 1e-6), np.full(count, 1e30), rng.uniform(0.5, 4.0, count)):
-        for places in (rng.uniform(0.0, 24.0, (count, 2)), np.full((count, 2), -1e6)):
-            for hits in frames.gbuffer_pass.hits:
-                hits.t.assign(distances.astype(np.float32))
-            frames.gbuffer_pass.reprojection.position.assign(places.astype(np.float32))
-            picture = frames.shot(camera)
-            solid = expected["hit"][..., 0] < 3  # A veil lets pixels through by chance.
-            solid &= picture["hit"][..., 0] < 3
-            assert solid.mean() > 0.9
-            for name in ("hit", "depth"):
-                assert (picture[name][solid] == expected[name][solid]).all()
 
 
 def test_normals_face_the_camera():
