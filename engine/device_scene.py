@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -16,7 +16,7 @@ from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
-from .instance_rows import filtered_groups, instance_bounds, instance_rows, write_places
+from .instance_rows import filtered_groups, instance_bounds, instance_rows, scene_origin, write_places
 from .lamps import lamp_array, lamp_power
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
@@ -24,6 +24,7 @@ from .opacity_maps import OpacityMaps
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
 from .settings import PerformanceSettings
+from .staging import RowWriter
 from .structures import InstancePlan, Structures
 from .tables import albedo_tables
 from .textures import TextureStore
@@ -43,10 +44,16 @@ class SceneChanges:
     """Objects moved, deformed, came, went or look different"""
     lit: bool = True
     """Lamps, the world, materials or what emits have changed"""
+    followed: bool = False
+    """Nothing but lamps and objects that had moved before have moved"""
 
 
 # Share of the meshes' buffers that may lie idle before everything is built anew.
 WASTE_LIMIT = 0.5
+
+# Factor by which the scene may outgrow its radius, or twice as much shrink, before that follows: the cache's cells are
+# measured by it, and recorded frames end where it changes.
+GROWTH_LIMIT = 1.25
 
 
 class DeviceScene:
@@ -65,6 +72,11 @@ class DeviceScene:
         self.table: InstanceTable | None = None
         self.plan: InstancePlan | None = None
         self.rows: np.ndarray = np.zeros(0, types.Instance.numpy_dtype())
+        """Of all instances; where some only moved it stays the same array, see `take_moved_rows`"""
+        self._moved_rows = np.zeros(0, np.int64)
+        self._row_writer = RowWriter(types.Instance, device)
+        self._emitting = np.zeros(0, bool)
+        """By set of materials, whether any may emit light"""
         self.instances = wp.zeros(1, dtype=types.Instance, device=device)
         self.instance_materials = wp.zeros(1, dtype=int, device=device)
         self.lights: list[LightData] = []
@@ -72,6 +84,8 @@ class DeviceScene:
         self.world: WorldData | None = None
         self.origin = np.zeros(3)
         self.radius = 1.0
+        self.triangle_count = 0
+        """Of all instances together"""
         self.luminance = (0.2126729, 0.7151522, 0.0721750)
         self.emitters = EmitterTable.empty(device)
         self.environment = no_environment(device)
@@ -101,6 +115,8 @@ class DeviceScene:
             self._apply(delta, settings, tell)
 
     def _apply(self, delta: SceneDelta, settings: PerformanceSettings, tell: Progress) -> None:
+        if self._follow(delta):
+            return
         if delta.full:
             self._forget()
         self.luminance = delta.luminance_weights
@@ -118,21 +134,17 @@ class DeviceScene:
         if delta.world is not None:
             self.world = delta.world
         moved = np.zeros(0, np.int64)
-        only_moved = False
         if delta.instances is not None:
-            only_moved = not (rebuild or delta.meshes) and delta.instances.moved_from(self.table)
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
         self._measure_bounds()
         materials_changed = self._update_materials(delta)
-        if only_moved and not materials_changed:
-            self._move_instances(moved)
-            filters_changed = False
-        else:
-            filters_changed = self._plan_instances()
+        filters_changed = self._plan_instances()
         rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
         geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
+        edited = np.flatnonzero(np.isin(self.plan.mesh_index, [
+            i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
         tell("Structures", 0.5)
         with self._timed("structures"):
             if rebuild:
@@ -140,19 +152,60 @@ class DeviceScene:
                 self._write_instances()
                 self.structures.build(self.plan, self.store, self.instances, settings.instancing_threshold)
             elif geometry_changed:
-                edited = np.flatnonzero(np.isin(self.plan.mesh_index, [
-                    i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
                 self.structures.leave_flat(np.union1d(moved, edited).astype(np.int64))
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
-            # Always: _plan_instances may have filled the rows anew, without the structures' ids.
+            # Always: _plan_instances has filled the rows anew, without the structures' ids.
             self._upload_instances()
             self.opacity_maps.update(self, self._assemble, settings.opacity_maps, bool(delta.images))
-        emission_moved = rebuild or self._any_emits(moved, changed_meshes)
+        emission_moved = rebuild or self._any_emits(moved) or self._any_emits(edited)
         tell("Lights", 0.9)
+        self._assemble()
+        self._update_lights(delta, emission_moved, materials_changed)
+        self.changes = SceneChanges(
+            replaced=delta.full, moved=geometry_changed or delta.instances is not None,
+            lit=materials_changed or delta.lights is not None or (emission_moved and len(self.emitters.power) > 0))
+        tell("Ready", 1.0)
+
+    def _follow(self, delta: SceneDelta) -> bool:
+        """Apply a delta by which nothing but lamps and instances that had moved before have moved; False for others.
+
+        That is what each step of a drag is, and most frames of an animation: only what lies elsewhere is touched.
+        """
+        table = delta.instances
+        if (delta.full or delta.meshes or delta.materials or delta.images or delta.world is not None or table is None
+                or self.plan is None or not table.moved_from(self.table)):
+            return False
+        with self._timed("structures"):
+            moved = np.flatnonzero((table.transforms != self.table.transforms).any((1, 2)))
+            transforms = table.transforms[moved]
+            ranges = [self.store.ranges[table.mesh_keys[i]] for i in table.mesh_index[moved].tolist()]
+            drawn, center, half = instance_bounds(np.arange(len(moved)), transforms, ranges)
+            if not (drawn & self.drawn[moved]).all():
+                return False
+            self.low[moved], self.high[moved] = center - half - self.origin, center + half - self.origin
+            if not self.structures.follow(self.plan, moved):
+                return False
+            self._outgrow(self.low[moved], self.high[moved])
+            self.table = table
+            write_places(self.rows, table.transforms, self.origin, moved)
+            self._row_writer.write(self.instances, self.rows, moved)
+            self._moved_rows = np.union1d(self._moved_rows, moved) if len(self._moved_rows) else moved
+        emission_moved = self._any_emits(moved)
+        self._update_lights(delta, emission_moved, False)
+        lit = delta.lights is not None or (emission_moved and len(self.emitters.power) > 0)
+        self.changes = SceneChanges(replaced=False, moved=True, lit=lit, followed=True)
+        return True
+
+    def take_moved_rows(self) -> np.ndarray:
+        """Return, ascending, the rows of instances that have moved since the last call or since `rows` was made."""
+        moved, self._moved_rows = self._moved_rows, np.zeros(0, np.int64)
+        return moved
+
+    def _update_lights(self, delta: SceneDelta, emission_moved: bool, materials_changed: bool) -> None:
+        """Find all that gives light, where it may have changed."""
         with self._timed("lights"):
             if delta.lights is not None:
                 self.lights = delta.lights
-            self._assemble()
             if emission_moved or materials_changed or delta.images:
                 self.emitters = find_emitters(
                     self.scene, self.plan, self.table, self.store, self.materials, self.device)
@@ -162,10 +215,6 @@ class DeviceScene:
                 self.environment_built = True
             if emission_moved or materials_changed or delta.images or delta.lights is not None:
                 self._choose_lights()
-        self.changes = SceneChanges(
-            replaced=delta.full, moved=geometry_changed or delta.instances is not None,
-            lit=materials_changed or delta.lights is not None or (emission_moved and len(self.emitters.power) > 0))
-        tell("Ready", 1.0)
 
     def use_opacity_maps(self, enabled: bool) -> None:
         """Make the opacity maps or take them away where nothing else changes."""
@@ -173,18 +222,9 @@ class DeviceScene:
             self.opacity_maps.update(self, self._assemble, enabled, False)
             self._assemble()
 
-    def _any_emits(self, moved: np.ndarray, changed_meshes: set[Key]) -> bool:
-        """Return whether any of the instances that moved or whose mesh changed may emit light."""
-        emits = np.array([
-            any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
-            for keys in self.table.material_sets], bool)
-        if not emits.any():
-            return False
-        concerned = np.zeros(len(self.table.mesh_index), bool)
-        concerned[moved] = True
-        edited = [i for i, key in enumerate(self.table.mesh_keys) if key in changed_meshes]
-        concerned |= np.isin(self.table.mesh_index, edited)
-        return bool(emits[self.table.material_set_index[concerned]].any())
+    def _any_emits(self, chosen: np.ndarray) -> bool:
+        """Return whether any of the chosen instances may emit light."""
+        return bool(self._emitting[self.table.material_set_index[chosen]].any())
 
     def _forget(self) -> None:
         self.store.clear()
@@ -232,27 +272,30 @@ class DeviceScene:
 
     def _measure_bounds(self) -> None:
         """Find the bounds of all drawn instances and, for a new scene, its origin."""
-        drawn, center, half = instance_bounds(self.table, self._ranges())
+        drawn, center, half = instance_bounds(self.table.mesh_index, self.table.transforms, self._ranges())
         if self.plan is None:
-            self._choose_origin(center[drawn], half[drawn])
+            self.origin = scene_origin(center[drawn], half[drawn])
         self.drawn, self.low, self.high = drawn, center - half - self.origin, center + half - self.origin
+        self._corners = np.full(3, np.inf), np.full(3, -np.inf)
         if drawn.any():
-            low, high = self.low[drawn], self.high[drawn]
-            self.radius = float(max(0.5 * np.linalg.norm(high.max(0) - low.min(0)), 1e-30))
+            self._outgrow(self.low[drawn], self.high[drawn])
+            radius = self._half_diagonal()
+            if self.plan is None or radius < 0.5 * self.radius:
+                self.radius = radius
+
+    def _outgrow(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Take in bounds of instances: the scene's radius follows where they lie far beyond those known."""
+        if len(low):
+            self._corners = np.minimum(self._corners[0], low.min(0)), np.maximum(self._corners[1], high.max(0))
+        radius = self._half_diagonal()
+        if radius > GROWTH_LIMIT * self.radius:
+            self.radius = radius
+
+    def _half_diagonal(self) -> float:
+        return float(max(0.5 * np.linalg.norm(self._corners[1] - self._corners[0]), 1e-30))
 
     def _ranges(self) -> list[MeshRange]:
         return [self.store.ranges[key] for key in self.table.mesh_keys]
-
-    def _choose_origin(self, center: np.ndarray, half: np.ndarray) -> None:
-        """Move far-away scenes to the origin, where float32 keeps what matters: by the median, where most of it is."""
-        self.origin = np.zeros(3)
-        if len(center):
-            middle = np.sort(center, axis=0)[(len(center) - 1) // 2]
-            size = max(np.linalg.norm((center + half).max(0) - (center - half).min(0)), 1e-30)
-            if np.abs(middle).max() > 16.0 * size:
-                # A power of two, as the cache's cells are: moved and scaled scenes have the same cells.
-                step = 2.0 ** (np.ceil(np.log2(size)) + 1.0)
-                self.origin = step * np.round(middle / step)
 
     def _plan_instances(self) -> bool:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
@@ -262,7 +305,12 @@ class DeviceScene:
             mesh_keys=table.mesh_keys, mesh_index=np.where(self.drawn, table.mesh_index, -1), filtered_slots=groups,
             group_index=group_index, low=self.low, high=self.high)
         ranges = self._ranges()
-        self.rows = instance_rows(table, ranges, self.origin)
+        self.rows, self._moved_rows = instance_rows(table, ranges, self.origin), np.zeros(0, np.int64)
+        counts = np.array([r.triangle_count for r in ranges], np.int64)
+        self.triangle_count = int(counts[table.mesh_index[self.drawn]].sum())
+        self._emitting = np.array([
+            any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
+            for keys in table.material_sets], bool)
         self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
         self.instance_materials = self._overwrite(
@@ -270,12 +318,6 @@ class DeviceScene:
         if old is None or len(old.group_index) != len(group_index):
             return True
         return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
-
-    def _move_instances(self, moved: np.ndarray) -> None:
-        """Do what `_plan_instances` does where instances only moved."""
-        self.plan = replace(self.plan, mesh_index=np.where(self.drawn, self.table.mesh_index, -1), low=self.low,
-                            high=self.high)
-        write_places(self.rows, self.table.transforms, self.origin, moved)
 
     def _overwrite(self, array: wp.array, values: np.ndarray, dtype: type) -> wp.array:
         """Put values on the device, into the same array if they fit: recorded frames go on using it."""
@@ -349,10 +391,3 @@ class DeviceScene:
     def has_hit_programs(self) -> bool:
         """Return the same for lights as rays' hits are lit by them: they take the world's light from its texels."""
         return self.emitters.textured or (self.scene.environment.constant == 0 and len(self.world_texels) == 1)
-
-    def triangle_count(self) -> int:
-        """Return the triangles of all instances together."""
-        if self.plan is None or not self.plan.mesh_keys:
-            return 0
-        counts = np.array([self.store.ranges[key].triangle_count for key in self.plan.mesh_keys])
-        return int(counts[self.plan.mesh_index[self.plan.mesh_index >= 0]].sum())

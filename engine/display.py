@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import display
-from .staging import PictureInbox
+from .staging import PicturePages
 
 __all__ = ["DevicePicture", "GlTexture", "PictureReader", "make_test_picture"]
 
@@ -41,7 +41,7 @@ class PictureReader:
     def __init__(self, device: str):
         self.device = device
         self._packed: wp.array | None = None
-        self._inbox = PictureInbox()
+        self._pages = PicturePages()
         self._ring: list[wp.array] = []
         self._turn = 0
 
@@ -59,8 +59,7 @@ class PictureReader:
         if self._packed is None or self._packed.size != count:
             self._packed = wp.empty(count, dtype=wp.uint32, device=self.device)
         wp.launch(display.pack_picture, count, [picture], [self._packed], device=self.device)
-        # A copy: what the inbox holds is written again while this picture is being drawn.
-        return self._inbox.read(self._packed).copy().view(np.float32).reshape(height, width)
+        return self._pages.read(self._packed).view(np.float32).reshape(height, width)
 
     def on_device(self, picture: wp.array, width: int, height: int) -> DevicePicture:
         """Return `picture` as half floats that stay on the device, valid until RING more were made."""

@@ -10,27 +10,53 @@ from .geometry_store import MeshRange
 from .scene import InstanceTable, Key, MaterialData
 from .structures import RAY_KINDS
 
-__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "write_places"]
+__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "scene_origin", "write_places"]
 
 ROW_TYPE = np.dtype(types.Instance.numpy_dtype())
 """Asked for once: Warp works it out anew each time"""
 
 
-def instance_bounds(table: InstanceTable, ranges: list[MeshRange]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def instance_bounds(
+    mesh_index: np.ndarray, transforms: np.ndarray, ranges: list[MeshRange],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return bool [N], which instances have anything finite to draw, and the centres and half sizes of their bounds.
 
-    float64 [N, 3], in world space, zero for those that are not drawn.
+    Those are float64 [N, 3], in world space, zero for instances that are not drawn.
+
+    Args:
+        mesh_index: int [N], the instances' meshes.
+        transforms: float64 [N, 4, 4], object to world.
+        ranges: Of the meshes.
     """
-    pick = table.mesh_index
+    pick = mesh_index
     drawn = np.array([r.triangle_count > 0 for r in ranges], bool)[pick] if ranges else np.zeros(0, bool)
     low = np.array([r.low for r in ranges]).reshape(-1, 3)[pick]
     high = np.array([r.high for r in ranges]).reshape(-1, 3)[pick]
-    linear = table.transforms[:, :3, :3]
+    linear = transforms[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + table.transforms[:, :3, 3]
+        center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + transforms[:, :3, 3]
         half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
     drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
     return drawn, np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
+
+
+def scene_origin(center: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Return float64 [3], where a scene's origin is: for far-away scenes the median, where most of it is.
+
+    float32 keeps what matters there.
+
+    Args:
+        center: float64 [N, 3], of the drawn instances' bounds.
+        half: float64 [N, 3], their half sizes.
+    """
+    if len(center):
+        middle = np.sort(center, axis=0)[(len(center) - 1) // 2]
+        size = max(np.linalg.norm((center + half).max(0) - (center - half).min(0)), 1e-30)
+        if np.abs(middle).max() > 16.0 * size:
+            # A power of two, as the cache's cells are: moved and scaled scenes have the same cells.
+            step = 2.0 ** (np.ceil(np.log2(size)) + 1.0)
+            return step * np.round(middle / step)
+    return np.zeros(3)
 
 
 def filtered_groups(

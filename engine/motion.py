@@ -8,6 +8,7 @@ import warp as wp
 
 from ..kernels.motion import Motion
 from .device_scene import DeviceScene
+from .staging import RowWriter
 
 __all__ = ["MotionTracker"]
 
@@ -15,8 +16,9 @@ __all__ = ["MotionTracker"]
 class MotionTracker:
     """Keeps the transforms and positions of the frame before.
 
-    Nothing is copied while nothing moves, and until a mesh deforms the positions are the scene's own array. `motion`
-    stays the same object as long as its arrays do; a frame recorded with another one must be recorded anew.
+    Nothing is copied while nothing moves, little while few objects do, and until a mesh deforms the positions are the
+    scene's own array. `motion` stays the same object as long as its arrays do; a frame recorded with another one must
+    be recorded anew.
     """
 
     def __init__(self, device: str):
@@ -32,55 +34,71 @@ class MotionTracker:
         self._used = 0
         self._stale: list[tuple[int, int]] = []
         """(first vertex, count) of what deformed in the frame before: there the copy is a frame too old"""
+        self._writer = RowWriter(wp.mat44, device)
         self._rows: np.ndarray | None = None
         self._keys: list = []
-        self._matrices = np.zeros((0, 4, 4), np.float32)
-        self._uploaded: np.ndarray | None = None
         self._origin = np.zeros(3)
+        self._now = np.zeros((0, 4, 4), np.float32)
+        """Transforms in this frame"""
+        self._before = self._now
+        """Those in the frame before"""
+        self._moving = np.zeros(0, np.int64)
+        """Ascending, rows in which the two differ"""
+        self._late = np.zeros(0, np.int64)
+        """Ascending, rows of `_before` that the device does not have yet"""
 
     def advance(self, scene: DeviceScene) -> Motion:
         """Go on to the next frame; call it once a frame, after the scene has been brought up to date."""
-        before = self._transforms_before(scene)
+        moved_rows = scene.take_moved_rows()
+        if scene.rows is self._rows:
+            self._follow(scene.rows, moved_rows)
+        else:
+            self._take_over(scene)
         deformed, scene.store.replaced = scene.store.replaced, {}
         scene.store.remember = True
         self._fit(scene)
         self._update_positions(scene, deformed)
-        moved = before is not None or bool(deformed)
+        moved = len(self._moving) > 0 or bool(deformed)
         if moved:
-            self._upload(self._matrices if before is None else before)
+            self._writer.write(self.motion.previous_to_world, self._before, self._late)
+            self._late = self._late[:0]
         if moved != self._moved:
             self.motion.moved.fill_(int(moved))
             self._moved = moved
         return self.motion
 
-    def _transforms_before(self, scene: DeviceScene) -> np.ndarray | None:
-        """Return the instances' transforms in the frame before if any has changed, and note those of now."""
-        if scene.rows is self._rows:
-            return None
+    def _follow(self, rows: np.ndarray, moved: np.ndarray) -> None:
+        """Go on where instances have moved at most: `moved`, ascending, are those that may have."""
+        settled = self._moving
+        self._before[settled] = self._now[settled]
+        if len(settled):
+            self._late = np.union1d(self._late, settled)
+        if len(moved):
+            self._now[moved] = rows["to_world"][moved]
+        self._moving = moved[(self._now[moved] != self._before[moved]).any((1, 2))] if len(moved) else moved
+
+    def _take_over(self, scene: DeviceScene) -> None:
+        """Go on with other instances: those known by their keys come from where they were, others stand still."""
         keys = [] if scene.table is None else scene.table.object_keys
-        now = scene.rows["to_world"].copy()
-        old_keys, old, first = self._keys, self._matrices, self._rows is None
-        shifted = (scene.origin != self._origin).any()
-        self._rows, self._keys, self._matrices, self._origin = scene.rows, keys, now, scene.origin.copy()
-        if first or shifted:
-            return None
-        if keys != old_keys:
-            places = {key: i for i, key in enumerate(old_keys)}
-            before = now.copy()
-            for i, key in enumerate(keys):
-                place = places.get(key)
-                if place is not None:
-                    before[i] = old[place]
-            old = before
-        return None if np.array_equal(old, now) else old
+        now, before = scene.rows["to_world"].copy(), scene.rows["to_world"].copy()
+        if self._rows is not None and (scene.origin == self._origin).all():
+            if keys == self._keys:
+                before = self._now
+            else:
+                places = {key: i for i, key in enumerate(self._keys)}
+                known = [(i, places[key]) for i, key in enumerate(keys) if key in places]
+                here, there = np.array(known, np.int64).reshape(-1, 2).T
+                before[here] = self._now[there]
+        self._rows, self._keys, self._origin = scene.rows, keys, scene.origin.copy()
+        self._now, self._before, self._late = now, before, np.arange(len(now))
+        self._moving = np.flatnonzero((now != before).any((1, 2)))
 
     def _fit(self, scene: DeviceScene) -> None:
         """Allocate what the scene has outgrown."""
         positions = scene.store.positions.array
-        count = max(len(self._matrices), 1)
+        count = max(len(self._now), 1)
         if len(self.motion.previous_to_world) != count:
             self._replace(self.motion.previous_positions, wp.zeros(count, dtype=wp.mat44, device=self.device))
-            self._uploaded = None
         if self._source is not positions:
             self._replace(positions, self.motion.previous_to_world)
             self._source, self._own_positions, self._stale = positions, False, []
@@ -108,8 +126,3 @@ class MotionTracker:
             else:
                 wp.copy(self.motion.previous_positions, kept, start, 0, count)
                 self._stale.append((start, count))
-
-    def _upload(self, matrices: np.ndarray) -> None:
-        if len(matrices) and (self._uploaded is None or not np.array_equal(self._uploaded, matrices)):
-            self.motion.previous_to_world.assign(matrices.astype(np.float32))
-            self._uploaded = matrices.copy()

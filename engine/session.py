@@ -129,12 +129,13 @@ class Session:
         scene, power = self._scene, self._scene.power
         scene.apply(delta, self.settings.performance, progress)
         self.stats = SessionStats(
-            triangles=scene.triangle_count(), instances=len(scene.rows),
+            triangles=scene.triangle_count, instances=len(scene.rows),
             lights=len(scene.lamps) + len(scene.emitters.power), texture_bytes=int(scene.textures.bytes),
             structure=scene.structures.description, times=dict(scene.times, **delta.extra.get("times", {})))
         self.stats.device_bytes = self._memory()
-        self._set_frame()
         changes = scene.changes
+        if not changes.followed:
+            self._set_frame()
         # Averages of light so much brighter would glow for hundreds of frames. Without any light they may fade: what is
         # known of the surfaces helps when it comes back.
         dimmed = 0.0 < scene.power < DIMMED * power

@@ -18,6 +18,7 @@ from ..kernels.flatten import flatten_vertices
 from ..kernels.types import FlatTriangles, Geometry, Scene
 from .geometry_store import GeometryStore, MeshRange
 from .scene import Key, Visibility
+from .staging import RowWriter
 from .wide_bvh import WideBvh, build_wide
 
 __all__ = ["RAY_KINDS", "FlatStructure", "InstancePlan", "Structures", "decides_layers", "is_flat"]
@@ -108,6 +109,7 @@ class Structures:
 
     def __init__(self, device: str):
         self.device = device
+        self._writer = RowWriter(wp.vec3, device)
         self.clear()
 
     def clear(self) -> None:
@@ -122,6 +124,8 @@ class Structures:
         """The instances that are flattened"""
         self.instanced = np.zeros(0, bool)
         self._built_for: tuple[list[_LocalMesh], np.ndarray] = ([], np.zeros(0, np.int64))
+        self._bounds: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+        """Of the instances under `bvh`, as it has them"""
         self.description = "empty"
 
     def _static_builder(self) -> str:
@@ -220,7 +224,7 @@ class Structures:
 
     def _build_instances(self, plan: InstancePlan, store: GeometryStore, moving: bool = False) -> None:
         """Build the object-space meshes that are missing and the structure over the instances."""
-        chosen = np.flatnonzero(self.instanced)
+        chosen = self._under_bvh(plan)
         if len(chosen) == 0:
             self.bvh = None
             return
@@ -235,9 +239,7 @@ class Structures:
             local.first_opaque = first
             local.first_filtered = first + len(local.opaque_faces)
             first = local.first_filtered + len(local.filtered_faces)
-        # Bounds are rounded outwards: float32 of a float64 bound may lie inside it.
-        grow = 4e-7 * np.maximum(np.abs(plan.low[chosen]), np.abs(plan.high[chosen])) + 1e-30
-        bounds = (plan.low[chosen] - grow).astype(np.float32), (plan.high[chosen] + grow).astype(np.float32)
+        bounds = _outer_bounds(plan, chosen)
         if moving and self._refit(used, chosen, bounds):
             return
         faces = [part for local in used.values() for part in (local.opaque_faces, local.filtered_faces)]
@@ -245,8 +247,12 @@ class Structures:
         self.bvh_instances = wp.array(chosen.astype(np.int32), dtype=int, device=self.device)
         low = wp.array(bounds[0], dtype=wp.vec3, device=self.device)
         high = wp.array(bounds[1], dtype=wp.vec3, device=self.device)
-        self._built_for = (list(used.values()), chosen)
+        self._built_for, self._bounds = (list(used.values()), chosen), bounds
         self.bvh = wp.Bvh(low, high, constructor="sah" if len(chosen) < 4096 or self.device == "cpu" else "lbvh")
+
+    def _under_bvh(self, plan: InstancePlan) -> np.ndarray:
+        """Return, ascending, the instances that are not flattened."""
+        return np.flatnonzero(self.instanced & (plan.mesh_index >= 0))
 
     def _refit(self, used: dict, chosen: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> bool:
         """Rebuild the structure over the instances in place if it has the same ones; return whether it had.
@@ -257,10 +263,28 @@ class Structures:
         same = (self.bvh is not None and len(meshes) == len(used) and np.array_equal(instances, chosen)
                 and all(a is b for a, b in zip(meshes, used.values(), strict=True)))
         if same:
-            self.bvh.lowers.assign(bounds[0])
-            self.bvh.uppers.assign(bounds[1])
-            self.bvh.rebuild()
+            self._bounds = bounds
+            self._rebuild(np.arange(len(chosen)))
         return same
+
+    def _rebuild(self, places: np.ndarray) -> None:
+        """Rebuild the structure over the instances for other bounds of some (ascending places in it)."""
+        for array, bounds in zip((self.bvh.lowers, self.bvh.uppers), self._bounds, strict=True):
+            self._writer.write(array, bounds, places)
+        self.bvh.rebuild()
+
+    def follow(self, plan: InstancePlan, moved: np.ndarray) -> bool:
+        """Follow instances (ascending) that have moved before to where they are; False where some have not.
+
+        No instance may have another mesh, or come or go. What kernels read of the structures stays the same.
+        """
+        if self.bvh is None or not self.instanced[moved].all():
+            return False
+        places = np.searchsorted(self._built_for[1], moved)
+        for bounds, new in zip(self._bounds, _outer_bounds(plan, moved), strict=True):
+            bounds[places] = new
+        self._rebuild(places)
+        return True
 
     def leave_flat(self, moved: np.ndarray) -> None:
         """Take instances out of the flattened structure (not yet into the other)."""
@@ -294,7 +318,7 @@ class Structures:
         """Write the structures' ids into the structured array of instances."""
         rows["opaque_bvh"] = 0
         rows["filtered_bvh"] = 0
-        for i in np.flatnonzero(self.instanced).tolist():
+        for i in self._under_bvh(plan).tolist():
             local = self.local[(plan.mesh_keys[plan.mesh_index[i]], plan.filtered_slots[plan.group_index[i]])]
             rows["opaque_bvh"][i] = local.opaque.id if local.opaque is not None else 0
             rows["filtered_bvh"][i] = local.filtered.id if local.filtered is not None else 0
@@ -305,6 +329,13 @@ class Structures:
     def has_filtered(self) -> bool:
         """Return whether any triangle needs a test per hit."""
         return self.filtered.wide is not None or any(local.filtered is not None for local in self.local.values())
+
+
+def _outer_bounds(plan: InstancePlan, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds of some instances, rounded outwards: float32 of a float64 bound may lie inside it."""
+    low, high = plan.low[chosen], plan.high[chosen]
+    grow = 4e-7 * np.maximum(np.abs(low), np.abs(high)) + 1e-30
+    return (low - grow).astype(np.float32), (high + grow).astype(np.float32)
 
 
 def _filtered_triangles(r: MeshRange, filtered_slots: tuple[bool, ...]) -> np.ndarray | None:

@@ -5,7 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from burnish.engine.staging import AHEAD, PictureInbox, StagedRow
+from burnish.engine.staging import (
+    AHEAD,
+    NEAR_ROWS,
+    PAGE_ROWS,
+    PictureInbox,
+    PicturePages,
+    RowWriter,
+    StagedRow,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,3 +56,41 @@ def test_pictures_arrive_whole(device):
         np.testing.assert_array_equal(inbox.read(picture), values)
         picture.fill_(2.0)
         assert (inbox.read(picture) == 2.0).all()
+
+
+def test_chosen_rows_are_written_and_far_ones_are_not(device):
+    """Write rows near and far, first and last, none and more than pass at once, each time in order with launches."""
+    count, rng = 3 * PAGE_ROWS + 7, np.random.default_rng(5)
+    writer = RowWriter(wp.vec3, device)
+    array, held = wp.zeros(count, dtype=wp.vec3, device=device), np.zeros((count, 3), np.float32)
+    kept = wp.zeros(count, dtype=wp.vec3, device=device)
+    for chosen in ([], [0], [count - 1], [3, 4, 9], [0, NEAR_ROWS + 5, count - 1], range(5, count - 5), range(count)):
+        chosen = np.array(chosen, np.int64)
+        values = rng.random((count, 3), dtype=np.float32)
+        wp.copy(kept, array)
+        writer.write(array, values, chosen)
+        np.testing.assert_array_equal(kept.numpy(), held)
+        now = array.numpy()
+        np.testing.assert_array_equal(now[chosen], values[chosen])
+        changed = np.flatnonzero((now != held).any(1))
+        assert all(np.abs(chosen - each).min() <= NEAR_ROWS for each in changed.tolist())
+        held = now.copy()
+
+
+def test_pictures_last_while_they_are_looked_at(device):
+    """Keep each picture as it was read as long as a view of it is held, and use the memory of others again."""
+    pages, held = PicturePages(), []
+    picture = wp.zeros(640, dtype=wp.uint32, device=device)
+    for index in range(5):
+        picture.fill_(index)
+        held.append(pages.read(picture).view(np.float32).reshape(20, 32)[3:])
+    assert [each.view(np.uint32).max() for each in held] == [0, 1, 2, 3, 4]
+    places = {each.ctypes.data for each in held}
+    assert len(places) == 5
+    del held[1:]
+    for _ in range(3):
+        picture.fill_(9)
+        last = pages.read(picture)
+        assert (last == 9).all() and held[0].view(np.uint32).max() == 0
+    assert last.ctypes.data != held[0].ctypes.data and last.ctypes.data + 3 * 32 * 4 in places
+    assert (pages.read(wp.full(7, 3, dtype=wp.uint32, device=device)) == 3).all()

@@ -198,4 +198,30 @@ def test_rows_of_moved_objects_are_those_of_a_new_scene() -> None:
                 np.testing.assert_array_equal(made.rows[name], read.rows[name], name)
         np.testing.assert_array_equal(made.plan.mesh_index, read.plan.mesh_index)
         np.testing.assert_array_equal((made.plan.low, made.plan.high), (read.plan.low, read.plan.high))
+        assert made.instances.numpy().tobytes() == made.rows.tobytes()
+        # From the second time on nothing else is touched.
+        assert made.changes.followed == (shift < 0.0)
         check(made, shapes, objects(shift))
+
+
+def test_objects_out_of_reach_come_back() -> None:
+    """Draw an object no more while its place is not finite, and again where it lies afterwards."""
+    shapes, placed = meshes(), objects()
+    made = opened(shapes, placed)
+    for shift in (0.4, np.nan, -0.3, 0.1, np.nan, 0.2):
+        table = replace(made.table, transforms=scenes.instances(objects(shift)).transforms)
+        made.apply(SceneDelta(instances=table), PerformanceSettings())
+        assert made.drawn.all() == np.isfinite(shift)
+        check(made, shapes, objects(shift if np.isfinite(shift) else 1e4))
+
+
+def test_the_radius_follows_large_changes_alone() -> None:
+    """Keep the scene's radius, by which the cache's cells are measured, while what lies outermost moves a little."""
+    made = opened(meshes(), objects())
+    radius = made.radius
+    for shift, same in ((0.1, True), (-0.2, True), (0.3, True), (400.0, False), (399.0, False), (0.1, False)):
+        made.apply(SceneDelta(instances=replace(
+            made.table, transforms=scenes.instances(objects(shift)).transforms)), PerformanceSettings())
+        assert (made.radius == radius) == same, (shift, made.radius, radius)
+    read = opened(meshes(), objects(400.0))
+    assert 0.8 * read.radius <= made.radius <= read.radius
