@@ -97,6 +97,7 @@ class Session:
         self._frame: np.ndarray | None = None
         self._key: tuple = ()
         self._camera: CameraData | None = None
+        self._size: tuple[int, int, tuple[int, int, int, int] | None] = (0, 0, None)
         self._sampling_report = Report()
         self._kept_options: dict[bool, tuple[tuple, Options]] = {}
         self._filter_shape: tuple | None = None
@@ -177,10 +178,13 @@ class Session:
         key = (crop[2] * crop[3], extra, settings.sampling.integrator, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
-        if (camera, width, height, crop) != (self._camera, *getattr(self, "_size", (0, 0, None))):
+        view = camera, (width, height, crop)
+        if view != (self._camera, self._size):
             change |= Change.RESTART
-        self.settings, self._camera, self._size = settings, camera, (width, height, crop)
-        self._set_frame()
+        if change != Change.NONE or self._frame is None:
+            self.settings, (self._camera, self._size) = settings, view
+            self._set_frame()
+        self.settings = settings
         self.first_hits.configure(passes, crop[2] * crop[3])
         with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
             if change & Change.RESIZE:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from ..kernels.view import View
@@ -72,7 +74,7 @@ class ViewTracker:
         jitter = np.zeros(2, np.float32)
         if filter_quantiles is not None:
             u = (0.5 + JITTER_STEP * self.frame) % 1.0
-            jitter = np.interp(u, np.linspace(0.0, 1.0, len(filter_quantiles)), filter_quantiles).astype(np.float32)
+            jitter = np.interp(u, _steps(len(filter_quantiles)), filter_quantiles).astype(np.float32)
         row = self.row
         row["camera"] = camera
         row["previous"] = camera if first else self._camera
@@ -81,3 +83,8 @@ class ViewTracker:
         row["exposure"], row["transparent"], row["moved_age"] = exposure, int(transparent), self.moved_age
         self._staged.send()
         self._camera, self._jitter = camera.copy(), jitter
+
+
+@functools.cache
+def _steps(count: int) -> np.ndarray:
+    return np.linspace(0.0, 1.0, count)

@@ -137,6 +137,8 @@ class MeshKeys:
 
 def same_table(table: InstanceTable, previous: InstanceTable) -> bool:
     """Tell whether both describe the same instances."""
+    if table.moved_from(previous):
+        return _same(table.transforms, previous.transforms)
     return all(_same(getattr(table, item.name), getattr(previous, item.name)) for item in fields(InstanceTable))
 
 

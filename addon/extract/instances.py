@@ -357,7 +357,7 @@ def placeable(transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     linear = transforms[:, :3, :3]
     with np.errstate(all="ignore"):
         lengths = np.linalg.norm(linear, axis=1)
-        determinant = np.einsum("ni,ni->n", linear[:, :, 0], np.cross(linear[:, :, 1], linear[:, :, 2]))
+        determinant = np.linalg.det(linear)
         good = np.abs(determinant) > _SINGULAR * lengths.prod(axis=1)
         # Written so that NaN fails.
         near = (np.abs(transforms) <= COORDINATE_LIMIT).all(axis=(1, 2))

@@ -68,11 +68,12 @@ class Moves:
         if any(self._looks.get(uid) != look for uid, look in looks.items()):
             return False
         transforms = read_transforms(depsgraph, walked.drawn)
-        near, good = placeable(transforms)
-        if not np.array_equal(walked.of_mesh & near & good, walked.kept):
+        moved = (transforms != walked.transforms).any((1, 2))
+        near, good = placeable(transforms[moved])
+        if not np.array_equal(walked.of_mesh[moved] & near & good, walked.kept[moved]):
             return False
         lamps = dict(walked.lamps)
-        for index in [index for index in lamps if not np.array_equal(transforms[index], walked.transforms[index])]:
+        for index in [index for index in lamps if moved[index]]:
             if lamps[index] is None or not np.isfinite(transforms[index]).all():
                 return False
             lamps[index] = replace(lamps[index], transform=transforms[index].copy())

@@ -323,7 +323,9 @@ class SceneExtractor:
             parts.append(self._images.report)
         parts += [part for _, part in self._light_factors.values()] + [part for _, part in self._materials.values()]
         for part in parts:
-            report.merge(part)
+            # Of a thousand meshes and materials few have anything to say.
+            if part.counts:
+                report.merge(part)
 
 
 def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:

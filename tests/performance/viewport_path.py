@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -61,6 +62,14 @@ class HiddenViewport:
         self.size, self.extractor, self.extraction = size, SceneExtractor(), 0.0
         self.inside: dict[str, list[float]] = {"update": [], "configure": [], "step": [], "read": []}
         self.worker = ViewportWorker(session_factory=self.open_session)
+        self.published, publish = threading.Event(), self.worker._publish
+
+        def tell(*arguments: Any) -> None:
+            publish(*arguments)
+            self.published.set()
+
+        # Blender's main thread waits without Python; one that looked again and again would hold the worker up.
+        self.worker._publish = tell
         self.worker.start()
 
     def open_session(self, settings: RenderSettings) -> Session:
@@ -109,7 +118,8 @@ class HiddenViewport:
         while self.serial <= serial:
             if self.worker.failed or time.perf_counter() > end:
                 raise RuntimeError(self.worker.status.error or "no picture came")
-            time.sleep(5e-5)
+            self.published.wait(1.0)
+            self.published.clear()
 
     def settle(self) -> None:
         """Wait until the worker rests."""
