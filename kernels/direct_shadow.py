@@ -33,7 +33,7 @@ from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind,
 from .packed_halves import pack_halves
 from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
-from .terminator import smooth_surface_offset
+from .terminator import shadow_origin
 from .types import Scene, ShadingPoint
 from .view import View, direction_to_eye
 from .wide_loads import load_view
@@ -44,8 +44,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 @wp.func
 def start_ray(scene: Scene, point: ShadingPoint, s: LightSample, slot: int, rays: Paths):
     """Set up a shadow ray, as the reference does (set_shadow_ray); none where the light is too near."""
-    start = point.position + smooth_surface_offset(scene.geometry, point, s.wi)
-    origin = offset_origin(start, point.geometric_normal, point.error, s.wi)
+    origin = shadow_origin(scene.geometry, point, s.wi)
     direction = s.wi
     distance = s.distance
     if distance < FAR:

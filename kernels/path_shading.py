@@ -38,7 +38,7 @@ from .sampling import (
     sample_number,
     sample_pair,
 )
-from .terminator import smooth_surface_offset
+from .terminator import lit_side, shadow_origin
 from .types import (
     HOLDOUT,
     LIGHT_ENVIRONMENT,
@@ -79,9 +79,10 @@ def visible_part(f: wp.vec3, diffuse: wp.vec3, reflected: bool, visibility: int)
 @wp.func
 def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths, path: int):
     """Store the shadow ray of a light sample and what it carries."""
-    side = point.geometric_normal
-    start = point.position + smooth_surface_offset(scene.geometry, point, s.wi)
-    origin = offset_origin(start, side, point.error, s.wi)
+    if s.kind == LIGHT_ENVIRONMENT and scene.environment.constant == 1 and wp.dot(lit_side(point, s.wi), s.wi) <= 0.0:
+        # Cycles lets paths alone find a world of one colour: from behind the triangle none does.
+        return
+    origin = shadow_origin(scene.geometry, point, s.wi)
     direction = s.wi
     distance = s.distance
     if distance < FAR:

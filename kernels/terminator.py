@@ -17,6 +17,9 @@ from .wide_loads import load_corner, load_instance, load_normal
 # Cosine to the light below which a ray starts on the implied surface (Cycles' default of the object's setting).
 GRAZING_COSINE = wp.constant(0.1)
 
+# Cosine between smooth and triangle's normal above which they are the same.
+FLAT_COSINE = wp.constant(0.999999)
+
 
 @wp.func
 def tangent_height(apex: wp.vec3, first: wp.vec3, second: wp.vec3, normal: wp.vec3, p: wp.vec3) -> float:
@@ -41,18 +44,24 @@ def patch_height(
 
 
 @wp.func
-def smooth_surface_offset(geometry: Geometry, point: ShadingPoint, wi: wp.vec3) -> wp.vec3:
-    """Return by how much to move the start of a shadow ray towards `wi`; zero for flat triangles and steep light."""
+def smooth_surface_offset(geometry: Geometry, point: ShadingPoint, side: wp.vec3, wi: wp.vec3) -> wp.vec3:
+    """Return by how much to move the start of a shadow ray towards `wi`; zero for flat triangles and steep light.
+
+    Args:
+        geometry: The scene's.
+        point: Where the ray starts.
+        side: The triangle's unit normal on the side on which the smooth normal has the light.
+        wi: Unit direction to the light.
+    """
     zero = wp.vec3(0.0, 0.0, 0.0)
     m0 = load_normal(geometry, point.triangle, 0)
     m1 = load_normal(geometry, point.triangle, 1)
     m2 = load_normal(geometry, point.triangle, 2)
-    if wp.length_sq(m1 - m0) + wp.length_sq(m2 - m0) < 1.0e-12:
+    flat = wp.abs(wp.dot(point.normal, point.geometric_normal)) > FLAT_COSINE
+    if flat and wp.length_sq(m1 - m0) + wp.length_sq(m2 - m0) < 1.0e-12:
         return zero
     cosine = wp.abs(wp.dot(point.normal, wi))
-    side = wp.where(wp.dot(point.normal, wi) < 0.0, -1.0, 1.0)
-    ng = point.geometric_normal * side
-    geometric_cosine = wp.dot(ng, wi)
+    geometric_cosine = wp.dot(side, wi)
     amount = 1.0 - geometric_cosine / GRAZING_COSINE
     if cosine < GRAZING_COSINE:
         amount = 2.0 - (geometric_cosine + cosine) / GRAZING_COSINE
@@ -63,11 +72,33 @@ def smooth_surface_offset(geometry: Geometry, point: ShadingPoint, wi: wp.vec3) 
     v0 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 0))
     v1 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 1))
     v2 = transform_point(instance.to_world, load_corner(geometry, point.triangle, 2))
-    # Seen from the other side the surface is the same with all normals turned round.
-    outward = wp.where(point.backfacing == 1, -side, side)
-    n0 = normalize_or(transform_normal(instance.to_object, m0), point.normal) * outward
-    n1 = normalize_or(transform_normal(instance.to_object, m1), point.normal) * outward
-    n2 = normalize_or(transform_normal(instance.to_object, m2), point.normal) * outward
     b0 = 1.0 - point.u - point.v
+    n0 = normalize_or(transform_normal(instance.to_object, m0), point.normal)
+    n1 = normalize_or(transform_normal(instance.to_object, m1), point.normal)
+    n2 = normalize_or(transform_normal(instance.to_object, m2), point.normal)
+    # Seen from the other side the surface is the same with all normals turned round; so is one whose normals face
+    # away from its triangle.
+    outward = wp.where(wp.dot(n0 * b0 + n1 * point.u + n2 * point.v, side) > 0.0, 1.0, -1.0)
+    n0 = n0 * outward
+    n1 = n1 * outward
+    n2 = n2 * outward
     height = patch_height(point.position, v0, v1, v2, n0, n1, n2, b0, point.u)
     return (n0 * b0 + n1 * point.u + n2 * point.v) * (height * amount)
+
+
+@wp.func
+def lit_side(point: ShadingPoint, wi: wp.vec3) -> wp.vec3:
+    """Return the triangle's unit normal on the side on which the smooth normal has the light from `wi`."""
+    return wp.where(wp.dot(point.normal, wi) < 0.0, -point.geometric_normal, point.geometric_normal)
+
+
+@wp.func
+def shadow_origin(geometry: Geometry, point: ShadingPoint, wi: wp.vec3) -> wp.vec3:
+    """Return where a shadow ray towards `wi` starts: off the surface by the hit's error, to the lit side.
+
+    As in Cycles (shadow_ray_offset): light that comes from behind the triangle, though the smooth normal faces it,
+    meets the triangle unless the surface that the normals imply lies beyond. Where normals face away from their
+    triangles, as in many converted scenes, it would come through walls otherwise.
+    """
+    side = lit_side(point, wi)
+    return point.position + smooth_surface_offset(geometry, point, side, wi) + side * point.error

@@ -141,7 +141,10 @@ def _read_corner_normals(mesh: bpy.types.Mesh, gather: _Gather, intact: bool) ->
     """Return float32 [T, 3, 3]; flat faces, sharp edges and custom normals are already in Blender's own."""
     if not intact:
         return np.zeros((len(gather.vertices), 3, 3), np.float32)  # sanitize_mesh puts in face normals
-    return gather.expand(_read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3), 'CORNER')
+    normals = _read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3)
+    # Of corners between faces without area; Cycles packs normals as points of an octahedron, which has no zero.
+    normals[~normals.any(1)] = (0.0, 0.0, 1.0)
+    return gather.expand(normals, 'CORNER')
 
 
 def _read_uv_maps(mesh: bpy.types.Mesh, gather: _Gather) -> dict[str, np.ndarray]:

@@ -69,6 +69,22 @@ finish(mixed=mixed, triangles_only=triangles_only, modified=check(item))
     assert result["mixed"]["uv_names"] == ["Second", "First", "Third"]
 
 
+def test_corners_without_a_normal_are_those_of_cycles(run_extraction):
+    """Take up as the normal of corners whose faces cancel each other out, as Cycles' packed normals do."""
+    result = run_extraction(r'''
+mesh = bpy.data.meshes.new("Folded")
+mesh.from_pydata([(0, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0)], [], [(0, 1, 2), (2, 1, 0), (0, 2, 3)])
+for face in mesh.polygons:
+    face.use_smooth = True
+item = link("Folded", mesh)
+delta, _, _ = extract_all()
+found = delta.meshes[delta.instances.mesh_keys[0]]
+finish(zero=[tuple(each.vector) for each in mesh.corner_normals].count((0.0, 0.0, 0.0)),
+       up=int((found.corner_normals == np.float32((0, 0, 1))).all(2).sum()))
+''')
+    assert result["zero"] == result["up"] == 2
+
+
 def test_attributes(run_extraction):
     """Widen attributes of every type and domain to four numbers a corner, colours first, and limit their number."""
     result = run_extraction(r'''
