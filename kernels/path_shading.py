@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3, max_component, power_heuristic
+from .geometry_math import is_finite3, max_component, normalize_or, power_heuristic
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
@@ -117,7 +117,20 @@ def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.
 
 
 @wp.func
-def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, emission: wp.vec3, paths: Paths, path: int):
+def mean_normal(bsdf: Bsdf) -> wp.vec3:
+    """Return the mean normal of the lobes by their weights, as in Cycles' Normal pass; the smooth one without lobes."""
+    ones = wp.vec3(1.0, 1.0, 1.0)
+    n = bsdf.normal * wp.dot(bsdf.diffuse + bsdf.translucent, ones)
+    n = n + bsdf.specular_normal * wp.dot(bsdf.metal + bsdf.dielectric + bsdf.glass, ones)
+    if bsdf.pick_coat > 0.0:
+        n = n + bsdf.coat_normal * wp.dot(bsdf.coat, ones)
+    if bsdf.pick_sheen > 0.0:
+        n = n + bsdf.sheen_normal * wp.dot(bsdf.sheen, ones)
+    return normalize_or(n, bsdf.smooth_normal)
+
+
+@wp.func
+def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int):
     """Write the first hit's data for the passes."""
     instance = scene.geometry.instances[point.instance]
     axis = -wp.vec3(frame.camera_to_world[0, 2], frame.camera_to_world[1, 2], frame.camera_to_world[2, 2])
@@ -131,13 +144,13 @@ def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, emissi
         corner = offset + 3 * (point.triangle - instance.triangle_offset)
         uv = (scene.geometry.uvs[corner] * (1.0 - point.u - point.v) + scene.geometry.uvs[corner + 1] * point.u
               + scene.geometry.uvs[corner + 2] * point.v)
-    n = point.normal
+    n = mean_normal(bsdf)
     paths.surface_normal[path] = wp.vec4(n[0], n[1], n[2], depth)
     p = point.position
     paths.surface_position[path] = wp.vec4(p[0], p[1], p[2], float(instance.pass_index))
     material = scene.materials.materials[point.material]
     paths.surface_uv[path] = wp.vec4(uv[0], uv[1], 1.0, float(material.pass_index))
-    paths.surface_emission[path] = emission
+    paths.surface_emission[path] = bsdf.emission
 
 
 @wp.func
@@ -279,7 +292,7 @@ def shade_hit(
     if may_emit(scene, point.material) and not survives(options, paths, path, bounce):
         return
     if options.passes == 1 and bounce == 0:
-        record_first_hit(scene, frame, point, bsdf.emission, paths, path)
+        record_first_hit(scene, frame, point, bsdf, paths, path)
     if options.max_bounces > 0 and bounce >= options.max_bounces:
         return
     if scene.lights.class_count > 0:

@@ -25,6 +25,9 @@ __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_tabl
 
 _CANCEL_INTERVAL = 4096
 _UNUSED_PERSISTENT_ID = 0x7FFFFFFF
+_MORE_INSTANCES = 64
+"""Instances that may appear unannounced; more make Blender print a warning"""
+
 # |det| below this fraction of the product of the axes' lengths: the axes lie in one plane in float32.
 _SINGULAR = 1e-6
 
@@ -344,12 +347,22 @@ def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.
     gathered.random_ids = np.where(is_self, own, random_ids[drawn] & 0xFFFFFFFF).astype(np.uint32)
 
 
-def read_transforms(depsgraph: bpy.types.Depsgraph, drawn: np.ndarray) -> np.ndarray:
-    """Return float64 [N, 4, 4], object to world, of the instances that `drawn` (bool [C]) names."""
-    matrices = np.empty(len(drawn) * 16, np.float32)
-    depsgraph.object_instances.foreach_get("matrix_world", matrices)
+def read_transforms(depsgraph: bpy.types.Depsgraph, drawn: np.ndarray) -> np.ndarray | None:
+    """Return float64 [N, 4, 4], object to world, of the instances that `drawn` (bool [C]) names; None unless C exist.
+
+    Counting them first would take as long again. More room than they need is left as it is.
+    """
+    count = len(drawn)
+    matrices = np.full((count + _MORE_INSTANCES, 4, 4), np.nan, np.float32)
+    try:
+        depsgraph.object_instances.foreach_get("matrix_world", matrices.reshape(-1))
+    except RuntimeError:
+        # Still more.
+        return None
+    if not np.isnan(matrices[count:]).all() or (count and np.isnan(matrices[count - 1]).all()):
+        return None
     # Blender's matrices are column-major.
-    return matrices.reshape(-1, 4, 4)[drawn].transpose(0, 2, 1).astype(np.float64)
+    return matrices[:count][drawn].transpose(0, 2, 1).astype(np.float64)
 
 
 def placeable(transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

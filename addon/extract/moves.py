@@ -62,12 +62,14 @@ class Moves:
     def read(self, depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object]) -> bool:
         """Follow `objects`, those that an update named, to where they are; False where only a walk can tell."""
         walked = self._walked
-        if walked is None or len(depsgraph.object_instances) != len(walked.drawn):
+        if walked is None:
             return False
         looks = _looks(depsgraph, objects)
         if any(self._looks.get(uid) != look for uid, look in looks.items()):
             return False
         transforms = read_transforms(depsgraph, walked.drawn)
+        if transforms is None:
+            return False
         moved = (transforms != walked.transforms).any((1, 2))
         near, good = placeable(transforms[moved])
         if not np.array_equal(walked.of_mesh[moved] & near & good, walked.kept[moved]):

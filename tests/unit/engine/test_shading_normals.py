@@ -56,3 +56,16 @@ def test_suns_behind_a_triangle_leave_it_dark(integrator, degrees, height, lit):
     found = light_on(leaning(degrees), integrator, 32, lights=[scenes.lamp("SUN", 2.0, matrix, angle=0.01)])
     cosine = np.dot((np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))), z)
     np.testing.assert_allclose(found, 2.0 * ALBEDO / np.pi * cosine if lit else 0.0, rtol=0.02, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["DIFFUSE", "PRINCIPLED"])
+def test_the_normal_pass_shows_normal_maps(kind):
+    """Show the normals that lobes have, as Cycles' pass does, not those of the mesh."""
+    leaned = np.float32((0.6, 0.0, 0.8))
+    session = Session(scenes.SETTINGS)
+    bumpy = scenes.material(kind, color=0.5, normal=tuple(leaned.tolist()))
+    session.update(scenes.delta({"shape": scenes.quad(3.0)}, [("shape", np.eye(4), "bumpy")], {"bumpy": bumpy},
+                                background=1.0))
+    session.configure(scenes.SETTINGS, scenes.camera_above(), 8, 8, passes=("Combined", "Normal"))
+    session.step(16)
+    np.testing.assert_allclose(session.read("Normal"), np.broadcast_to(leaned, (8, 8, 3)), atol=0.01)
