@@ -283,8 +283,7 @@ class Session:
     def close(self) -> None:
         """Give the device's memory back."""
         self._film = self._realtime = None
-        self.denoiser = FinalDenoise(self.device)
-        self.first_hits = FirstHits(self.device)
+        self.denoiser, self.first_hits = FinalDenoise(self.device), FirstHits(self.device)
         self._kept_options = {}
         self._pass = ReferencePass(self.device)
         self._scene = DeviceScene(self.device)
@@ -374,9 +373,7 @@ class Session:
             return np.where(uv[:, 2:3] > 0, position + self._scene.origin.astype(np.float32), 0.0)
         if name in ("Emission", "Environment"):
             return getattr(buffers, name.lower()).numpy() / counts
-        if name == "Object Index":
-            return buffers.position.numpy()[:, 3:4]
-        return uv[:, 3:4]
+        return buffers.position.numpy()[:, 3:4] if name == "Object Index" else uv[:, 3:4]
 
     def _set_frame(self) -> None:
         if self._camera is not None:

@@ -353,13 +353,15 @@ def read_transforms(depsgraph: bpy.types.Depsgraph, drawn: np.ndarray) -> np.nda
     Counting them first would take as long again. More room than they need is left as it is.
     """
     count = len(drawn)
+    if count == 0:
+        return None if len(depsgraph.object_instances) else np.zeros((0, 4, 4))
     matrices = np.full((count + _MORE_INSTANCES, 4, 4), np.nan, np.float32)
     try:
         depsgraph.object_instances.foreach_get("matrix_world", matrices.reshape(-1))
-    except RuntimeError:
-        # Still more.
+    except (RuntimeError, TypeError):
+        # Still more, or none.
         return None
-    if not np.isnan(matrices[count:]).all() or (count and np.isnan(matrices[count - 1]).all()):
+    if not np.isnan(matrices[count:]).all() or np.isnan(matrices[count - 1]).all():
         return None
     # Blender's matrices are column-major.
     return matrices[:count][drawn].transpose(0, 2, 1).astype(np.float64)
