@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import luminance, to_frame
+from .geometry_math import luminance, orthonormal_tangent, to_frame
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE, distance_of, inverse_distance
 from .probe_spawn import LAYER_SHARE, probe_cell, separated, surface_distance
-from .probe_types import CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
+from .probe_types import BANDS, CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
 from .wide_loads import load_vec4h, load_view
 from .wide_stores import store_vec4h
@@ -41,7 +41,15 @@ OUTDATED_FRAMES = wp.constant(32)
 
 # Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where surfaces
 # are so cut up that probes are made anew in every frame, that error would never end. At rest none: time removes noise.
-FRESH_UPDATES = wp.constant(8.0)
+FRESH_UPDATES = wp.constant(4.0)
+
+# That many times as far off as they are from the new one must be what they see, or their light counts for less, by the
+# square: cells are wide, and who comes away from a window still finds it in the same cell, as bright. Where the camera
+# turns, each column of new probes asks the one before, so that such light would run along a whole wall.
+FAR_WAYS = wp.constant(40.0)
+
+# Cosine between normals, and between the axes about them, from which on two probes' coefficients are of one frame.
+SAME_FRAME = wp.constant(0.98)
 
 UNKNOWN = wp.constant(-1.0)
 
@@ -176,6 +184,31 @@ def gather_around(
     return rgba(rgb(total) / weight, distance_of(total[3] / weight))
 
 
+@wp.func
+def residual_around(
+    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3, cell: float,
+    band: int,
+) -> wp.vec4:
+    """Return the mean of what the cells of the probes of 3 x 3 tiles miss; w = updates in it, 0: nothing is known."""
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    found = float(0.0)
+    i = int(0)
+    while i < 9:
+        slot = related_probe(
+            pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
+        if slot >= 0:
+            n = unpack_normal(pool.normal[slot])
+            axes = wp.dot(orthonormal_tangent(n), orthonormal_tangent(normal))
+            if wp.min(axes, wp.dot(n, normal)) > SAME_FRAME:
+                residual = pool.residual[slot * BANDS + band]
+                total = total + rgba(rgb(residual), 1.0) * residual[3]
+                found = found + 1.0
+        i = i + 1
+    if not total[3] > 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return rgba(rgb(total) / total[3], total[3] / found)
+
+
 @wp.kernel(cuda_max_registers=80)
 def gather_history(
     first: int,
@@ -188,7 +221,10 @@ def gather_history(
     # Out:
     updates_out: ProbeUpdates,
 ):
-    """Find for each cell of each update the radiance known before, and how much light it brings."""
+    """Find for each cell of each update the radiance known before, and how much light it brings.
+
+    For new probes also what the cells of those around miss, by the threads of the first cells.
+    """
     index = first + wp.tid()
     update = index // CELLS
     cell = index % CELLS
@@ -212,6 +248,28 @@ def gather_history(
     store_vec4h(updates_out.previous, index, to_half(value))
     updates_out.guide[index] = wp.where(
         value[3] > 0.0, luminance(rgb(value), grid.luminance) * cosines[cell], UNKNOWN)
+    if cell < BANDS and updates_out.fresh[update] == 1:
+        updates_out.residual[update * BANDS + cell] = residual_around(
+            grid, pool, tiles, updates_out.tile[update], position, normal, width, cell)
+
+
+@wp.func
+def share_from_afar(updates: ProbeUpdates, update: int, way: float) -> float:
+    """Return the share of an update's history that looks the same from some way off [m]: what comes from afar."""
+    alike = float(0.0)
+    total = float(0.0)
+    limit = wp.max(FAR_WAYS * way, 1.0e-9)
+    k = int(0)
+    while k < 8:
+        # Without branches, so that eight cells wait for memory together.
+        for i in range(8):
+            index = update * CELLS + 8 * k + i
+            light = wp.max(updates.guide[index], 0.0)
+            near = wp.clamp(from_half(load_vec4h(updates.previous, index))[3] / limit, 0.0, 1.0)
+            alike = alike + light * near * near
+            total = total + light
+        k = k + 1
+    return alike / wp.max(total, 1.0e-9)
 
 
 @wp.kernel
@@ -253,6 +311,7 @@ def count_history(
         normal = unpack_normal(updates_out.normal[update])
         width = probe_cell(view, project(view.camera, position)[2])
         found = float(0.0)
+        apart = float(0.0)
         i = int(0)
         while i < 9:
             tile = neighbour_tile(grid, updates_out.tile[update], i % 3 - 1, i // 3 - 1)
@@ -261,8 +320,11 @@ def count_history(
                 if not outdated(view, pool, other):
                     count = count + valid_count(view, pool, other)
                     found = found + 1.0
+                    apart = apart + wp.length(pool.position[other] - position)
             i = i + 1
         count = wp.min(count / wp.max(found, 1.0), wp.max(FRESH_UPDATES - float(view.rest), 0.0))
+        if count > 0.0:
+            count = count * share_from_afar(updates_out, update, apart / found)
     # Longer at rest, by the updates since.
     turns = float(grid.side * grid.side)
     limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)

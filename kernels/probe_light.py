@@ -167,11 +167,14 @@ def project_bands(
         pool_out.clear[slot] = nearest
     if grid.exact == 1:
         residual = pool_out.residual[slot * BANDS + band]
-        mean = rgb(residual)
-        # Nothing is known about it in a new place, or before anything is known about the cells.
+        # Before anything is known about the cells, what they miss is not either.
         age = wp.min(residual[3], updates.count[update])
-        if updates.fresh[update] == 1 or updates.count[update] <= 0.0:
-            age = 0.0
+        if updates.fresh[update] == 1:
+            # A few steps aside it is much the same, and without it light near the horizon would be too bright.
+            residual = updates.residual[update * BANDS + band]
+            age = wp.min(residual[3], RESIDUAL_UPDATES)
+        mean = rgb(residual)
+        if age <= 0.0:
             mean = wp.vec3(0.0, 0.0, 0.0)
         if updates.count[update] > 0.0:
             mean = wp.lerp(mean, missed_by_cells(updates, rays, weights, update, band), 1.0 / (age + 1.0))

@@ -136,6 +136,8 @@ class ProbeUpdates:
     """[update * 64 + cell] radiance known before, distance; w < 0: unknown"""
     guide: wp.array[float]
     """[update * 64 + cell] what light the cell is thought to bring; < 0: unknown"""
+    residual: wp.array[wp.vec4]
+    """[update * 10 + band] of a new probe what the probes around know as ProbePool.residual; w = 0: nothing"""
     expected: wp.array[float]
     """[update * 64 + cell] mean number of rays that the cell gets in an update"""
     cell: wp.array[wp.uint8]

@@ -59,7 +59,8 @@ TILES = {"seed": (int, 1), "claim": (wp.int64, 1), "claim_other": (wp.int64, 1),
 UPDATES = {"own": (int, 1), "free": (int, 1), "rank": (int, 1), "tile": (int, 1), "pixel": (int, 1), "slot": (int, 1),
            "fresh": (int, 1), "position": (wp.vec3, 1), "error": (float, 1), "normal": (wp.uint32, 1),
            "specular": (int, 1), "count": (float, 1), "change": (float, 1), "covered": (int, 1),
-           "previous": (wp.vec4h, CELLS), "guide": (float, CELLS), "expected": (float, CELLS),
+           "previous": (wp.vec4h, CELLS), "guide": (float, CELLS), "residual": (wp.vec4, BANDS),
+           "expected": (float, CELLS),
            "cell": (wp.uint8, CELLS), "neighbor": (int, 9), "filtered": (wp.vec4h, CELLS)}
 RAYS = {"origin": (wp.vec3, CELLS), "direction": (wp.vec3, CELLS), "t_max": (float, CELLS), "probe": (int, CELLS),
         "radiance": (wp.vec4, CELLS)}
