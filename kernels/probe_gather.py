@@ -163,11 +163,16 @@ def outdated(view: View, pool: ProbePool, slot: int) -> bool:
 @wp.func
 def gather_around(
     view: View, grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3,
-    direction: wp.vec3, cell: float,
-) -> wp.vec4:
-    """Return the mean of what the probes of 3 x 3 tiles know, nearer ones weighing more; w < 0: nothing."""
+    direction: wp.vec3, cell: float, band: int,
+) -> tuple[wp.vec4, wp.vec4]:
+    """Return the mean of what the probes of 3 x 3 tiles know, nearer ones weighing more; w < 0: nothing.
+
+    And of what their cells miss of a coefficient, if `band` is one; w = updates in it, 0: nothing is known.
+    """
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     weight = float(0.0)
+    missed = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    found = float(0.0)
     i = int(0)
     while i < 9:
         slot = related_probe(
@@ -178,35 +183,19 @@ def gather_around(
                 w = 1.0 / (1.0 + wp.length_sq(pool.position[slot] - position) / (cell * cell))
                 total = total + rgba(rgb(value), inverse_distance(value[3])) * w
                 weight = weight + w
+            if band < BANDS:
+                n = unpack_normal(pool.normal[slot])
+                axes = wp.dot(orthonormal_tangent(n), orthonormal_tangent(normal))
+                if wp.min(axes, wp.dot(n, normal)) > SAME_FRAME:
+                    residual = pool.residual[slot * BANDS + band]
+                    missed = missed + rgba(rgb(residual), 1.0) * residual[3]
+                    found = found + 1.0
         i = i + 1
+    if missed[3] > 0.0:
+        missed = rgba(rgb(missed) / missed[3], missed[3] / found)
     if weight == 0.0:
-        return wp.vec4(0.0, 0.0, 0.0, UNKNOWN)
-    return rgba(rgb(total) / weight, distance_of(total[3] / weight))
-
-
-@wp.func
-def residual_around(
-    grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, tile: int, position: wp.vec3, normal: wp.vec3, cell: float,
-    band: int,
-) -> wp.vec4:
-    """Return the mean of what the cells of the probes of 3 x 3 tiles miss; w = updates in it, 0: nothing is known."""
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    found = float(0.0)
-    i = int(0)
-    while i < 9:
-        slot = related_probe(
-            pool, tiles, neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1), position, normal, cell)
-        if slot >= 0:
-            n = unpack_normal(pool.normal[slot])
-            axes = wp.dot(orthonormal_tangent(n), orthonormal_tangent(normal))
-            if wp.min(axes, wp.dot(n, normal)) > SAME_FRAME:
-                residual = pool.residual[slot * BANDS + band]
-                total = total + rgba(rgb(residual), 1.0) * residual[3]
-                found = found + 1.0
-        i = i + 1
-    if not total[3] > 0.0:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return rgba(rgb(total) / total[3], total[3] / found)
+        return wp.vec4(0.0, 0.0, 0.0, UNKNOWN), missed
+    return rgba(rgb(total) / weight, distance_of(total[3] / weight)), missed
 
 
 @wp.kernel(cuda_max_registers=80)
@@ -243,14 +232,14 @@ def gather_history(
         else:
             value = aimed_radiance(pool, slot, position, direction)
     if value[3] <= 0.0:
-        value = gather_around(
-            view, grid, pool, tiles, updates_out.tile[update], position, normal, direction, width)
+        found, missed = gather_around(
+            view, grid, pool, tiles, updates_out.tile[update], position, normal, direction, width, cell)
+        value = found
+        if cell < BANDS:
+            updates_out.residual[update * BANDS + cell] = missed
     store_vec4h(updates_out.previous, index, to_half(value))
     updates_out.guide[index] = wp.where(
         value[3] > 0.0, luminance(rgb(value), grid.luminance) * cosines[cell], UNKNOWN)
-    if cell < BANDS and updates_out.fresh[update] == 1:
-        updates_out.residual[update * BANDS + cell] = residual_around(
-            grid, pool, tiles, updates_out.tile[update], position, normal, width, cell)
 
 
 @wp.func
