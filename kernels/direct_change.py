@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .direct_temporal import DirectHistory, change_terms, has_sample, standard_errors
+from .direct_temporal import DirectHistory, albedos, change_terms, has_sample, relative_albedo, standard_errors
 from .filter_weights import brightness, inside, pixel_plane, surface_weight
 from .gbuffer import GBuffer
 from .long_mean import unpack_mean
 from .packed_halves import pack_halves, unpack_halves
-from .packing import rgb, rgba
+from .packing import rgb, rgba, unpack_unorm16
 from .reprojection import Reprojection, known_taps
 from .view import MOVED_FRAMES, SKY_DEPTH, View
 from .wide_loads import load_view
@@ -102,7 +102,8 @@ def find_direct_changes(
         to_y = int(wp.floor(reprojection.position[pixel][1])) - y
         sums_d = LightChange()
         sums_s = LightChange()
-        total = float(0.0)
+        total_d = float(0.0)
+        total_s = float(0.0)
         index = int(0)
         while index < 9:
             dx = index % 3 - 1
@@ -116,10 +117,16 @@ def find_direct_changes(
                 w = surface_weight(plane, dx, dy, gbuffer.depth[q])
                 if w > 0.0 and float(history.length[before]) != 0.0 and has_sample(d, s):
                     moments = unpack_halves(history.moments[before])
-                    sums_d = add_pixel(sums_d, rgb(d), unpack_mean(history.diffuse[before]), moments[0], w)
-                    sums_s = add_pixel(sums_s, rgb(s), unpack_mean(history.specular[before]), moments[1], w)
-                    total += w
-        changed_d = change_of(sums_d, total)
-        changed_s = change_of(sums_s, total)
+                    # Samples count by albedo, as in the means.
+                    now = albedos(gbuffer, q)
+                    mean = unpack_unorm16(history.albedo[before])
+                    w_d = w * relative_albedo(now[0], mean[0])
+                    w_s = w * relative_albedo(now[1], mean[1])
+                    sums_d = add_pixel(sums_d, rgb(d), unpack_mean(history.diffuse[before]), moments[0], w_d)
+                    sums_s = add_pixel(sums_s, rgb(s), unpack_mean(history.specular[before]), moments[1], w_s)
+                    total_d += w_d
+                    total_s += w_s
+        changed_d = change_of(sums_d, total_d)
+        changed_s = change_of(sums_s, total_s)
     diffuse_out[pixel] = pack_halves(changed_d)
     specular_out[pixel] = pack_halves(changed_s)

@@ -55,6 +55,9 @@ class Frames:
             setattr(self.gbuffer, name, wp.array(normals.reshape(-1), dtype=wp.uint32, device=DEVICE))
         # Half rough everywhere.
         self.gbuffer.material = wp.full(count, 32768, dtype=wp.uint32, device=DEVICE)
+        for name in ("diffuse", "specular", "translucent"):
+            setattr(self.gbuffer, name, wp.zeros(count, dtype=wp.uint32, device=DEVICE))
+        self.paint(0.5)
         self.reprojection = Reprojection()
         self.reprojection.position = wp.zeros(count, dtype=wp.vec2, device=DEVICE)
         self.reprojection.taps = wp.zeros(count, dtype=wp.uint8, device=DEVICE)
@@ -71,6 +74,13 @@ class Frames:
         self.graphs = [self.record(parity) for parity in (0, 1)]
         self.frame = 0
         self.move((0.0, 0.0))
+
+    def paint(self, albedo):
+        """Give pixels such albedos [h, w], or all the same, diffuse and specular, as kernels/packing.py packs them."""
+        root = np.sqrt(np.broadcast_to(albedo, (self.size, self.size)))
+        wide, narrow = (np.rint(root * scale).astype(np.uint32) for scale in (2047.0, 1023.0))
+        for array in (self.gbuffer.diffuse, self.gbuffer.specular):
+            array.assign((wide | wide << 11 | narrow << 22).reshape(-1))
 
     def record(self, parity):
         graph = FrameGraph(DEVICE)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The denoiser of direct light: means over frames, then an edge-stopping blur as strong as their errors (SVGF).
 
-Owns the means of this frame and the last, and what has changed between them. 129 + 44 n bytes a pixel for n passes of
+Owns the means of this frame and the last, and what has changed between them. 137 + 44 n bytes a pixel for n passes of
 the blur.
 """
 
@@ -47,6 +47,7 @@ class DirectDenoisePass:
             h.specular = wp.zeros(count, dtype=wp.uint64, device=device)
             h.moments = wp.zeros(count, dtype=wp.uint64, device=device)
             h.length = wp.zeros(count, dtype=wp.float16, device=device)
+            h.albedo = wp.zeros(count, dtype=wp.uint32, device=device)
             return h
 
         def light() -> DirectLight:

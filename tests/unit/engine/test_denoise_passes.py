@@ -106,3 +106,22 @@ def test_moving_shadow_leaves_no_trail():
         result = frames.show(shadow)[SIZE // 2, :, 0]
     assert result[:21].max() < 0.01
     assert result[27:].min() > 0.98
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, -0.21)])
+def test_light_goes_with_the_albedo_it_falls_on(shift):
+    """Keep the mean of albedo times light where they go together from frame to frame, as threads of a cloth do."""
+    rng = np.random.default_rng(17)
+    frames = Frames()
+    frames.move(shift)
+    shown = {}
+    for _ in range(128):
+        threads = rng.random((SIZE, SIZE)) < 0.4
+        frames.paint(np.where(threads, 0.6, 0.1))
+        frames.show(np.where(threads, 0.2, 1.0), np.where(threads, 1.5, 0.25))
+        for specular in (False, True):
+            shown.setdefault(specular, []).append(frames.picture(specular)[8:24, 8:24].mean())
+    albedo = 0.4 * 0.6 + 0.6 * 0.1
+    expected = {False: 0.4 * 0.6 * 0.2 + 0.6 * 0.1, True: 0.4 * 0.6 * 1.5 + 0.6 * 0.1 * 0.25}
+    for specular, means in shown.items():
+        assert albedo * np.mean(means[64:]) == pytest.approx(expected[specular], rel=0.03)
