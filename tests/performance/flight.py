@@ -2,12 +2,12 @@
 """Measure the real-time integrator through a camera flight: error, flicker, steadiness. Run by hand.
 
     python tests/performance/flight.py SCENE.blend... [--device cuda] [--size 640 360] [--frames 60] [--every 10]
-        [--truth 1024] [--window 8] [--cycles 16] [--as-is] [--set GROUP.FIELD=VALUE] [--output out/flight]
+        [--truth 1024] [--window 8] [--cycles 16] [--as-is] [--alone] [--set GROUP.FIELD=VALUE] [--output out/flight]
 
 Rests for 64 frames at the first camera, whose error is the measure, then flies one frame a camera. Every tenth frame
-is compared with Reference. Flicker is the standard deviation over `window` frames of the sRGB values of the same
-points (steadiness.py), as they are and after an 8x8 blur; Cycles renders those frames one by one, each with another
-seed, and denoises each alone.
+is compared with Reference. --alone rests without path-traced samples: what the filters alone reach is the measure.
+Flicker is the standard deviation over `window` frames of the sRGB values of the same points (steadiness.py), as they
+are and after an 8x8 blur; Cycles renders those frames one by one, each with another seed, and denoises each alone.
 """
 
 from __future__ import annotations
@@ -68,7 +68,10 @@ class Flight:
     def fly(self) -> tuple[np.ndarray, list[np.ndarray], float]:
         """Return the picture after the rest, those of all frames, and milliseconds a frame with its reading."""
         o = self.options
-        measured = Measured(settings_for(o.integrator, o.device, **parse_settings(o.set)))
+        groups = parse_settings(o.set)
+        if o.alone:
+            groups["denoiser"] = {"path_traced_rest": False, **groups.get("denoiser", {})}
+        measured = Measured(settings_for(o.integrator, o.device, **groups))
         measured.load(self.scene.extract())
         measured.look(self.cameras[0], self.size)
         measured.frames(REST if o.integrator == "realtime" else 1)
@@ -138,6 +141,7 @@ def main() -> int:
     parser.add_argument("--window", type=int, default=8)
     parser.add_argument("--cycles", type=int, default=16, help="samples of Cycles; 0: none")
     parser.add_argument("--as-is", action="store_true")
+    parser.add_argument("--alone", action="store_true", help="rest without path-traced samples")
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.FIELD=VALUE")
     parser.add_argument("--output", type=Path, default=Path("out/flight"))
     options = parser.parse_args()
