@@ -7,6 +7,9 @@ pixel was in the frame before, limited to what this frame shows around it (varia
 Temporal Supersampling", GDC 2016) and averaged with a constant weight. That resampling is repeated with every frame,
 so its kernel must pass details undamped: 0.8 Lanczos-3 + 0.2 Catmull-Rom keeps 0.995 to 1.004 of waves of 4 pixels
 and longer; Catmull-Rom alone keeps 0.88 of those of 4 pixels, of which half is left after ten frames.
+
+While the camera alone moves, surfaces of which the frame before has no sample have a history too: of what is thinner
+than a pixel, as the jitter meets it in some frames only. It was a row of dashes where each of these began anew.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from .long_mean import only_camera_moved
 from .packed_halves import unpack_halves
 from .reflection_sources import DISTANCE_ROUGHNESS
 from .reflection_temporal import RENEWED_LENGTH
-from .view import View, settled_length
+from .view import MOVED_FRAMES, View, settled_length
 from .wide_loads import load_vec4, load_view
 from .wide_stores import store_vec4
 
@@ -36,8 +39,10 @@ FIRST_REST_SAMPLES = wp.constant(4.0)
 # Frames after an edit of lights during which the history weighs at most half.
 LIGHT_EDIT_FRAMES = wp.constant(12)
 
-# Half the size of the box around the neighbourhood's mean, in standard deviations.
+# Half the size of the box around the neighbourhood's mean, in standard deviations: while things move, and while the
+# camera alone does, when what the history shows has only been seen from elsewhere.
 CLIP_DEVIATIONS = wp.constant(1.25)
+CLIP_STILL = wp.constant(2.5)
 
 # Display white is 1: light above this is weighed down in motion, where single samples would flicker.
 FIREFLY_LUMA = wp.constant(2.0)
@@ -236,15 +241,15 @@ def filter_frame(
 
 
 @wp.func
-def rectify(history: wp.vec4, n: Neighborhood) -> wp.vec4:
-    """Move a history colour towards the neighbourhood's mean until it lies in the box around that."""
+def rectify(history: wp.vec4, n: Neighborhood, deviations: float) -> wp.vec4:
+    """Move a history colour towards the neighbourhood's mean until it lies in a box of so many deviations around it."""
     d = to_ycocg(history) - n.mean
     # Half-floats are 1 / 2048 apart: less than twice that is no change.
     slack = n.mean[0] / 1024.0 + 1.0e-6
     excess = float(1.0)
     for i in range(3):
-        excess = wp.max(excess, wp.abs(d[i]) / (n.deviation[i] * CLIP_DEVIATIONS + slack))
-    reach = n.deviation[3] * CLIP_DEVIATIONS + 1.0e-3
+        excess = wp.max(excess, wp.abs(d[i]) / (n.deviation[i] * deviations + slack))
+    reach = n.deviation[3] * deviations + 1.0e-3
     return from_ycocg(n.mean + wp.vec4(d[0] / excess, d[1] / excess, d[2] / excess, wp.clamp(d[3], -reach, reach)))
 
 
@@ -321,13 +326,19 @@ def antialias(
             n = gather_neighborhood(color, depth, x, y, width, height)
             # Edges move with what is in front: their history is where that was.
             p = position[n.nearest] + wp.vec2(float(x - n.nearest % width), float(y - n.nearest // width))
-            if int(taps[n.nearest]) == 0 or not wp.isfinite(p[0] + p[1]):
+            still = view.moved_age > MOVED_FRAMES
+            known = int(taps[n.nearest]) != 0
+            if still and not known:
+                known = p[0] >= 0.0 and p[1] >= 0.0 and p[0] < float(width) and p[1] < float(height)
+            if not known or not wp.isfinite(p[0] + p[1]):
                 mean = filter_frame(color, view.jitter, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(float(previous.samples[old]), history_limit(view))
                 samples = wp.min(samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel))
-                history = clamp_color(rectify(clamp_color(resample(previous.color, p, width, height)), n))
+                history = clamp_color(rectify(
+                    clamp_color(resample(previous.color, p, width, height)), n,
+                    wp.where(still, CLIP_STILL, CLIP_DEVIATIONS)))
                 around = 1.125 * n.mean[0] - 0.125 * luma(current)
                 w_new = firefly_weight(current, around)
                 w_old = firefly_weight(history, around) * samples
