@@ -11,14 +11,12 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from tests import glossy_scenes as made  # noqa: E402
-
-Groups = dict[str, dict[str, Any]]
+from tests.performance.settings_text import Groups, merged  # noqa: E402
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +51,6 @@ def steel_floor(size: tuple[int, int]) -> made.GlossyScene:
 # are kept.
 ALONE: Groups = {"denoiser": {"reflection_temporal": False, "antialiasing": False}}
 LOOK_UP: Groups = {"reflections": {"hit_lighting": False, "screen_reuse": False}}
-
-
-def merged(*groups: Groups | None) -> Groups:
-    """Return settings with those of later groups over those of earlier ones."""
-    total: Groups = {}
-    for group in groups:
-        for name, fields in (group or {}).items():
-            total[name] = {**total.get(name, {}), **fields}
-    return total
 
 
 FIGURES = (

@@ -37,8 +37,6 @@ from tests.performance.figure_list import (  # noqa: E402
     OUTSIDE,
     PAPER_TABLE,
     Figure,
-    Groups,
-    merged,
     table_row,
 )
 from tests.performance.measured_session import (  # noqa: E402
@@ -49,6 +47,7 @@ from tests.performance.measured_session import (  # noqa: E402
     settings_for,
     truth_of,
 )
+from tests.performance.settings_text import FILTERED, Groups, merged  # noqa: E402
 from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa: E402
 
 RECIPES = {"paper": Preset.PAPER, "ours": Preset.BALANCED}
@@ -101,7 +100,7 @@ class Page:
 def recipe_settings(recipe: str, options: argparse.Namespace, groups: Groups | None = None) -> RenderSettings:
     """Return the settings of a recipe with single fields changed; at rest the filtered picture stays."""
     settings = apply_preset(settings_for("realtime", options.device), RECIPES[recipe])
-    for name, fields in merged({"denoiser": {"path_traced_rest": False}}, groups).items():
+    for name, fields in merged(FILTERED, groups).items():
         values = {key: ReflectionResolution(value) if key == "resolution" else value for key, value in fields.items()}
         settings = dataclasses.replace(settings, **{name: dataclasses.replace(getattr(settings, name), **values)})
     return settings

@@ -36,7 +36,7 @@ from tests.performance.measured_session import (  # noqa: E402
     settings_for,
     truth_of,
 )
-from tests.performance.settings_text import parse_settings  # noqa: E402
+from tests.performance.settings_text import FILTERED, merged, parse_settings  # noqa: E402
 from tests.performance.sheets import Table, flip_map, save_sheet, tone  # noqa: E402
 from tests.performance.steadiness import blurred, flicker  # noqa: E402
 
@@ -68,9 +68,7 @@ class Flight:
     def fly(self) -> tuple[np.ndarray, list[np.ndarray], float]:
         """Return the picture after the rest, those of all frames, and milliseconds a frame with its reading."""
         o = self.options
-        groups = parse_settings(o.set)
-        if o.alone:
-            groups["denoiser"] = {"path_traced_rest": False, **groups.get("denoiser", {})}
+        groups = merged(FILTERED if o.alone else None, parse_settings(o.set))
         measured = Measured(settings_for(o.integrator, o.device, **groups))
         measured.load(self.scene.extract())
         measured.look(self.cameras[0], self.size)

@@ -27,7 +27,7 @@ from burnish.engine.measure_moving import fly_over  # noqa: E402
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
 from tests.performance.measured_session import Measured, positions_of, settings_for  # noqa: E402
-from tests.performance.settings_text import parse_settings  # noqa: E402
+from tests.performance.settings_text import FILTERED, merged, parse_settings  # noqa: E402
 from tests.performance.sheets import Table, save_sheet, tone  # noqa: E402
 
 LOBES = ("Diffuse", "Glossy", "Transmission")
@@ -51,9 +51,9 @@ def lobes_of(measured: Measured) -> dict[str, np.ndarray]:
 def ratio_map(truth: np.ndarray, found: np.ndarray, block: int) -> np.ndarray:
     """Return a picture of the blocks' ratios, of the size of the pictures."""
     blocks = signed_difference(box_filter(truth, block), box_filter(found, block))
-    rows, columns = (-(-side // block) * block - side // block * block for side in truth.shape[:2])
     enlarged = np.repeat(np.repeat(blocks, block, 0), block, 1)
-    return np.pad(enlarged, ((0, rows), (0, columns), (0, 0)), "edge")[:truth.shape[0], :truth.shape[1]]
+    rows, columns = np.subtract(truth.shape[:2], enlarged.shape[:2])
+    return np.pad(enlarged, ((0, rows), (0, columns), (0, 0)), "edge")
 
 
 def mean_of(runs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -66,9 +66,9 @@ def add_rows(
 ) -> None:
     """Add a row for each lobe that the scene has."""
     whole = float((truth["Combined"] @ LUMINANCE_WEIGHTS).clip(0.0, 1.0).mean())
+    dark = (box_filter(truth["Combined"], block) @ LUMINANCE_WEIGHTS) < 1.0
     for name, picture in truth.items():
         expected, shown = (box_filter(image, block) @ LUMINANCE_WEIGHTS for image in (picture, found[name]))
-        dark = (box_filter(truth["Combined"], block) @ LUMINANCE_WEIGHTS) < 1.0
         lit = dark & (expected > DIM * whole)
         if not lit.any():
             continue
@@ -112,8 +112,7 @@ def main() -> int:
     rows = [[(tone(truth[name], scene.exposure), f"Reference: {name}") for name in shown]]
     for text in options.variant or ["default:"]:
         name, _, settings = text.partition(":")
-        groups = parse_settings(settings.split())
-        groups["denoiser"] = {"path_traced_rest": False, **groups.get("denoiser", {})}
+        groups = merged(FILTERED, parse_settings(settings.split()))
         runs = []
         for seed in range(options.seeds):
             measured = Measured(settings_for("realtime", options.device, seed=seed, **groups))

@@ -38,7 +38,7 @@ from tests.performance.measured_session import (  # noqa: E402
     settings_for,
     truth_of,
 )
-from tests.performance.settings_text import parse_settings  # noqa: E402
+from tests.performance.settings_text import FILTERED, merged, parse_settings  # noqa: E402
 from tests.performance.sheets import Table, error_map, flip_map, save_sheet, tone  # noqa: E402
 
 GOALS = "Goals at 256 frames: dark 0.98..1.02, p5 >= 0.9, p95 <= 1.1, FLIP below that of Cycles."
@@ -81,9 +81,7 @@ def measure(path: Path, matte: bool, options: argparse.Namespace, table: Table) 
 
     if from_file:
         take("Reference", ours, "")
-    groups = parse_settings(options.set)
-    if options.alone:
-        groups["denoiser"] = {"path_traced_rest": False, **groups.get("denoiser", {})}
+    groups = merged(FILTERED if options.alone else None, parse_settings(options.set))
     measured = Measured(settings_for(options.integrator, options.device, **groups))
     measured.load(delta)
     measured.look(scene.camera, size)

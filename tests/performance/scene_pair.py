@@ -19,7 +19,7 @@ from burnish.engine.image_error import LUMINANCE_WEIGHTS, box_filter  # noqa: E4
 from burnish.engine.scene import MaterialData, SceneDelta  # noqa: E402
 
 from tests.performance.measured_session import Measured, positions_of, settings_for, truth_of  # noqa: E402
-from tests.performance.settings_text import parse_settings  # noqa: E402
+from tests.performance.settings_text import FILTERED, merged, parse_settings  # noqa: E402
 
 BRIGHT = 1.0
 """Luminance from which a pixel counts as lamp or window"""
@@ -40,10 +40,7 @@ def add_options(parser: argparse.ArgumentParser, output: str, size: tuple[int, i
 
 def filtered_settings(options: argparse.Namespace, **groups: dict[str, Any]) -> Any:
     """Return the settings of the options; at rest the filtered picture stays, path tracing does not take over."""
-    changed = {"denoiser": {"path_traced_rest": False}}
-    for given in (groups, parse_settings(options.set)):
-        for group, fields in given.items():
-            changed[group] = {**changed.get(group, {}), **fields}
+    changed = merged(FILTERED, groups, parse_settings(options.set))
     return settings_for(options.integrator, options.device, **changed)
 
 
