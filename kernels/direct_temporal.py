@@ -250,7 +250,7 @@ def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, albedo: wp.ve
     out.length = wp.min(m.length + 1.0, cap)
     blend = 1.0 / out.length
     out.albedo = wp.lerp(m.albedo, albedo, blend)
-    # As this frame's albedo is a part of the mean, neither is above the frames in it: shares stay below 1.
+    # As this frame's albedo is a part of the mean, shares are above 1 by rounding alone, but those of the short means.
     weight_d = relative_albedo(albedo[0], out.albedo[0])
     weight_s = relative_albedo(albedo[1], out.albedo[1])
     d = brightness(diffuse)

@@ -254,9 +254,9 @@ def share_from_afar(updates: ProbeUpdates, update: int, way: float) -> float:
         for i in range(8):
             index = update * CELLS + 8 * k + i
             light = wp.max(updates.guide[index], 0.0)
-            distance = from_half(load_vec4h(updates.previous, index))[3]
-            near = wp.where(distance >= FAR, 1.0, wp.clamp(distance / limit, 0.0, 1.0))
-            alike = alike + light * near * near
+            inverse = inverse_distance(from_half(load_vec4h(updates.previous, index))[3])
+            far = 1.0 / wp.max(limit * inverse, 1.0)
+            alike = alike + light * far * far
             total = total + light
         k = k + 1
     return alike / wp.max(total, 1.0e-9)
