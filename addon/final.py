@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,26 +23,19 @@ from ..engine.report import Report, ReportKind
 from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import CameraData
 from ..engine.session import DENOISED
-from ..engine.settings import DebugSettings, Integrator, RenderSettings
-from . import builds, oidn, passes, preferences, preview, report
+from ..engine.settings import DebugSettings, RenderSettings
+from . import builds, oidn, passes, preferences, preview, report, shutter
 from .extract.camera import camera_from_scene
 from .extract.motion import OtherFrame, read_other_frames
 from .extract.scene import ExtractionCancelled, SceneExtractor
 from .extract.settings import settings_from_scene
 from .passes import LIGHT_PASSES
 from .progress import Cancelled, RenderProgress
+from .sampling import Sampling
 
 __all__ = ["FinishedHook", "RenderInfo", "crop_rectangle", "on_finished", "render"]
 
 log = logging.getLogger(__name__)
-
-STEP_SECONDS = 0.2
-"""Aimed-at length of one Session.step; a step ends within 0.1 s of a cancellation anyway."""
-STEP_SAMPLES_MAX = 64
-TIMED_FRAME = 8
-"""Real-time frame whose sections are measured: the first ones record their launches and have no history yet"""
-RESULT_SECONDS = 0.5
-"""Time between two partial pictures in the window."""
 
 debug_view = ""
 """Intermediate result that final renders show instead of the picture, for the command line. The scene's own choice is
@@ -163,6 +155,7 @@ class FinalRender:
         if overrides is not None:
             self.settings = overrides(self.settings)
         self.settings = dataclasses.replace(self.settings, debug=DebugSettings(view=debug_view))
+        self.blurred = shutter.is_open(engine, depsgraph) and not debug_view
         self.denoised = self.settings.denoiser.final_denoise and not self.settings.debug.view
         integrator = self.settings.sampling.integrator
         self.aovs = tuple(passes.enabled_aovs(depsgraph.view_layer_eval, integrator))
@@ -190,11 +183,15 @@ class FinalRender:
         self.facts = scene_facts(extractor.materials())
         session.update(delta, self.progress.stage)
         self.mesh_keys = extractor.mesh_keys() if self.others else {}
+        # Markers change the scene's camera from frame to frame.
+        self.camera = self.engine.camera_override or depsgraph.scene.camera
+        exposure = shutter.Shutter(self.engine, depsgraph, session, extractor, self.settings,
+                                   self.report) if self.blurred else None
         for part, view in enumerate(self.views):
             self.progress.part = part
             if len(self.views) > 1:
                 self.progress.title = f"{self.layer} | {view}"
-            self._render_view(session, depsgraph, view)
+            self._render_view(session, depsgraph, view, exposure)
             if self.engine.test_break():
                 return
 
@@ -203,25 +200,31 @@ class FinalRender:
         cameras = {}
         for view in self.views:
             self.engine.active_view_set(view)
-            cameras[view] = view_camera(self.engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
+            cameras[view] = self._camera(depsgraph)
         return cameras
 
-    def _render_view(self, session: Any, depsgraph: Any, view: str) -> None:
+    def _camera(self, depsgraph: Any, camera_object: Any = None) -> CameraData:
+        """Return the camera of the active view as it is evaluated now; the scene's where no object is given."""
+        return view_camera(self.engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1,
+                           camera_object=camera_object)
+
+    def _render_view(self, session: Any, depsgraph: Any, view: str, exposure: shutter.Shutter | None) -> None:
         engine = self.engine
         engine.active_view_set(view)
-        camera = view_camera(engine, depsgraph, self.width, self.height, stereo=len(self.views) > 1)
+        camera = self._camera(depsgraph)
         names = (*(aov.source for aov in self.aovs), *((DENOISED,) if self.denoised else ()))
         # A picture to be denoised has frames for its light passes alone, else it is path-traced from the start.
         lit = any(name in LIGHT_PASSES for name in names)
         traced = self.denoised and not lit and self.settings.denoiser.path_traced_rest
         approximations = Report() if traced else realtime_approximations(
-            self.settings, self.facts, camera.aperture_radius, camera.panoramic)
+            self.settings, self.facts, camera.aperture_radius, camera.panoramic, self.blurred)
         for (kind, owner, message), count in approximations.counts.items():
             # Once, however many views there are.
             self.report.counts[kind, owner, message] = count
         session.first_hits.alpha_threshold = self.alpha_threshold
         session.first_hits.motion = tuple(other.motion(view, self.mesh_keys) for other in self.others) or None
-        session.configure(self.settings, camera, self.width, self.height, self.crop, names)
+        drawn = shutter.path_traced(self.settings) if self.blurred else self.settings
+        session.configure(drawn, camera, self.width, self.height, self.crop, names)
         # A kept session remembers the frame before: a picture must not depend on what was rendered before it.
         session.reset()
         width, height = (self.width, self.height) if self.crop is None else self.crop[2:]
@@ -231,8 +234,13 @@ class FinalRender:
             raise BurnishError(f"Blender has no result of {width} x {height} pixels for view layer '{self.layer}'")
         finished = False
         try:
-            samples, seconds = self._sample(session, result)
-            pixels = {aov.name: self._combined(session) if aov.name == "Combined" else session.read(aov.source)
+            # A picture to be denoised has no frames, or no more than its light passes need.
+            sampling = Sampling(session, drawn, self.progress, timed=not self.denoised, cancelled=self._cancelled,
+                                show=lambda: self._show(session, result))
+            surfaces = self._sample(session, depsgraph, sampling, exposure)
+            samples, seconds = sampling.done, sampling.elapsed
+            pixels = {aov.name: self._combined(session) if aov.name == "Combined"
+                      else session.read(aov.source) if aov.source not in surfaces else surfaces[aov.source]
                       for aov in self.aovs}
             self._write(result, pixels)
             header = matte_header(self.layer, session.first_hits.manifests)
@@ -261,58 +269,36 @@ class FinalRender:
                 self.engine.report({'WARNING'}, f"Burnish: the picture is not denoised. {error}")
         return session.read("Combined")
 
-    def _sample(self, session: Any, result: Any) -> tuple[int, float]:
-        """Add samples until there are enough, the time is up or the user cancels; return samples and seconds."""
-        sampling = self.settings.sampling
-        total, limit = sampling.samples, sampling.time_limit
-        start = shown = time.perf_counter()
-        done, count, elapsed = 0, 1, 0.0
-        # A picture to be denoised has no frames, or no more than its light passes need.
-        timed_at = -1 if self.denoised else timed_frame(self.settings)
+    def _cancelled(self) -> bool:
+        return bool(self.engine.test_break())
 
-        def should_stop() -> bool:
-            return bool(self.engine.test_break()) or (0.0 < limit <= time.perf_counter() - start and done > 0)
+    def _show(self, session: Any, result: Any) -> None:
+        """Show the picture as it is so far."""
+        self._write(result, {"Combined": session.read("Combined")})
+        self.engine.update_result(result)
 
-        while done < total and not should_stop():
-            step_start, before = time.perf_counter(), done
-            session.timed = done == timed_at
-            # The timed frame is a step of its own.
-            goal = total if done > timed_at else timed_at + int(session.timed)
-            done = session.step(min(count, goal - done), should_stop)
-            session.timed = False
-            now = time.perf_counter()
-            elapsed = now - start
-            count = next_count(count, done - before, now - step_start)
-            fraction = done / total if limit <= 0.0 else max(done / total, min(elapsed / limit, 1.0))
-            remaining = None if fraction <= 0.0 else elapsed * (1.0 / fraction - 1.0)
-            self.progress.samples(done, total, elapsed, remaining, session.stats.device_bytes, fraction)
-            if not bpy.app.background and done < total and now - shown >= RESULT_SECONDS:
-                self._write(result, {"Combined": session.read("Combined")})
-                self.engine.update_result(result)
-                shown = time.perf_counter()
-        return done, elapsed
+    def _sample(self, session: Any, depsgraph: Any, sampling: Sampling,
+                exposure: shutter.Shutter | None) -> dict[str, np.ndarray]:
+        """Take the picture's samples: until there are enough, the time is up or the user cancels.
+
+        Returns the passes that can't be read afterwards.
+        """
+        if exposure is None:
+            sampling.add(sampling.total, lambda: self._cancelled() or sampling.late())
+            return {}
+        surfaces = shutter.read_surfaces(
+            session, {aov.source for aov in self.aovs}, sampling.total, self._cancelled)
+        try:
+            exposure.expose(sampling, lambda: self._camera(depsgraph, self.camera), self.denoised)
+        finally:
+            # Evaluated anew.
+            self.scene = depsgraph.scene_eval
+        return surfaces
 
     def _write(self, result: Any, pixels: dict[str, np.ndarray]) -> None:
         for render_pass in result.layers[0].passes:
             if render_pass.name in pixels:
                 passes.write_pass(render_pass, pixels[render_pass.name])
-
-
-def timed_frame(settings: RenderSettings) -> int:
-    """Return how many real-time frames come before the one that is measured; -1 for none."""
-    if settings.sampling.integrator != Integrator.REALTIME:
-        return -1
-    frames = settings.sampling.samples
-    if settings.denoiser.path_traced_rest:
-        frames = min(frames, max(settings.denoiser.rest_frames, 1))
-    return min(frames, TIMED_FRAME) - 1
-
-
-def next_count(count: int, added: int, seconds: float) -> int:
-    """Return how many samples the next step takes, so that it lasts about STEP_SECONDS."""
-    if added <= 0 or seconds <= 0.0:
-        return count
-    return max(1, min(STEP_SAMPLES_MAX, 2 * count, int(STEP_SECONDS * added / seconds)))
 
 
 def view_names(render_settings: Any) -> tuple[str, ...]:
@@ -341,9 +327,10 @@ def crop_rectangle(render_settings: Any, width: int, height: int) -> tuple[int, 
     return left, bottom, right - left, top - bottom
 
 
-def view_camera(engine: Any, depsgraph: Any, width: int, height: int, *, stereo: bool) -> CameraData:
-    """Return the camera of the engine's active view, with its stereo offset."""
-    camera_object = engine.camera_override or depsgraph.scene.camera
+def view_camera(engine: Any, depsgraph: Any, width: int, height: int, *, stereo: bool,
+                camera_object: Any = None) -> CameraData:
+    """Return the camera of the engine's active view, with its stereo offset; the scene's where no object is given."""
+    camera_object = camera_object or engine.camera_override or depsgraph.scene.camera
     if camera_object is None:
         raise InvalidScene("The scene has no camera; add one and make it active in Scene Properties")
     camera_object = camera_object.evaluated_get(depsgraph)

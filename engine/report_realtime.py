@@ -48,6 +48,7 @@ def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
 
 def realtime_approximations(
     settings: RenderSettings, facts: SceneFacts, aperture_radius: float, panoramic: bool = False,
+    blurred: bool = False,
 ) -> Report:
     """Return what real-time frames of a scene approximate; empty for the reference integrator.
 
@@ -57,11 +58,13 @@ def realtime_approximations(
         facts: Of the scene's materials.
         aperture_radius: Of the camera [m]; 0 is a pinhole.
         panoramic: Whether the camera is; then there are no frames.
+        blurred: Whether the picture is a mean over moments; no frames either.
     """
     report = Report()
-    if panoramic and settings.sampling.integrator == Integrator.REALTIME:
+    if (panoramic or blurred) and settings.sampling.integrator == Integrator.REALTIME:
         without = ", without debug views" if settings.debug.view else ""
-        report.add(ReportKind.INFO, "", f"panoramic cameras are path-traced{without}")
+        what = "panoramic cameras are" if panoramic else "motion blur is"
+        report.add(ReportKind.INFO, "", f"{what} path-traced{without}")
         return report
     if settings.sampling.integrator != Integrator.REALTIME or settings.debug.view:
         return report

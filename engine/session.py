@@ -2,7 +2,8 @@
 """A Session: one scene on one device, seen by one camera, drawn by one of the integrators.
 
 update() takes what changed in the scene, configure() takes settings and camera, step() adds samples, read() gives
-pictures. Not thread-safe: one thread at a time. Knows nothing of Blender.
+pictures; move() goes on to another moment of the same picture. Not thread-safe: one thread at a time. Knows nothing of
+Blender.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -33,11 +33,12 @@ from .pixel_filter import filter_table
 from .realtime import Realtime, settings_for
 from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
+from .session_stats import SessionStats
 from .settings import Change, Integrator, RenderSettings, change_since
 from .staging import PictureInbox
 from .warmup import warm_up
 
-__all__ = ["DENOISED", "PASSES", "Session", "SessionStats"]
+__all__ = ["DENOISED", "PASSES", "Session"]
 
 GEOMETRY_SAMPLES = 16
 """Samples a pixel of the passes that tell of the first surface, where the real-time integrator makes the picture"""
@@ -51,28 +52,11 @@ PASSES = {
 DENOISED = "Denoised"
 """Stands among the passes of configure() for read_denoised()"""
 
-BACKGROUND_DEPTH = 1e10
-"""Depth where there is no surface, as Cycles writes it."""
-
 MAX_PIXELS = 1 << 30
 
 DIMMED = 5e-4
 """Share of all light of before below which what an edit leaves of it is lost among averages of before, which forget
 within a dozen frames but for a hundredth"""
-
-
-@dataclass
-class SessionStats:
-    """Figures about the session, for panels and measurements."""
-
-    triangles: int = 0
-    instances: int = 0
-    lights: int = 0
-    texture_bytes: int = 0
-    device_bytes: int = 0
-    structure: str = ""
-    times: dict[str, float] = field(default_factory=dict)
-    """Seconds by stage of the last update (textures, upload, structures, lights) and of sampling and reading"""
 
 
 class Session:
@@ -145,6 +129,31 @@ class Session:
         elif self._realtime is not None:
             self._realtime.note(moved=changes.moved, lit=changes.lit)
         self._forget_film()
+
+    def move(self, delta: SceneDelta, camera: CameraData) -> None:
+        """Go on to another moment of a path-traced picture (motion blur): samples of before stay, and count the same.
+
+        Args:
+            delta: Changes since the last update or move.
+            camera: Where it is at the moment; nothing else of what configure() was given changes.
+
+        Raises:
+            OutOfDeviceMemory: The scene does not fit.
+        """
+        assert self._realtime is None, "real-time frames have a history of their own"
+        known = dict(self._scene.report.counts)
+        self._scene.apply(delta, self.settings.performance)
+        # What is odd at each moment is odd once.
+        self._scene.report.counts |= known
+        self._camera = camera
+        self._set_frame()
+        self.first_hits.reset()
+
+    def add_guides(self, samples: int) -> None:
+        """Take so many samples of what is seen now into the denoiser's guides, in a picture of several moments."""
+        with device_errors("the path states"):
+            self.denoiser.add_guides(
+                self._pass, self._scene.scene, self._frame, self._options(False), self._filter, samples)
 
     def configure(
         self, settings: RenderSettings, camera: CameraData, width: int, height: int,
@@ -347,7 +356,6 @@ class Session:
         return np.ascontiguousarray(denoised.reshape(height, width, 4), np.float32)
 
     def _read_flat(self, name: str) -> np.ndarray:
-        buffers = self._film.film
         if name == "Combined":
             return self._inbox.read(self.resolve())
         if is_light_pass(name):
@@ -358,22 +366,7 @@ class Session:
                                             self._tracer(), self._options(False))
         if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
             self._trace(GEOMETRY_SAMPLES, lambda: False)
-        counts = np.maximum(buffers.samples.numpy(), 1)[:, None]
-        uv = buffers.uv.numpy()
-        seen = uv[:, 2:3] / counts
-        if name == "Depth":
-            depth = buffers.depth.numpy()
-            return np.where(buffers.position.numpy().any(1) | (uv[:, 2] > 0), depth, BACKGROUND_DEPTH)[:, None]
-        if name == "Normal":
-            return buffers.normal.numpy()[:, :3] / counts
-        if name == "UV":
-            return np.concatenate([uv[:, :2] / counts, seen], 1)
-        if name == "Position":
-            position = buffers.position.numpy()[:, :3]
-            return np.where(uv[:, 2:3] > 0, position + self._scene.origin.astype(np.float32), 0.0)
-        if name in ("Emission", "Environment"):
-            return getattr(buffers, name.lower()).numpy() / counts
-        return buffers.position.numpy()[:, 3:4] if name == "Object Index" else uv[:, 3:4]
+        return self._film.read_surfaces(name, self._scene.origin)
 
     def _set_frame(self) -> None:
         if self._camera is not None:

@@ -127,6 +127,10 @@ class SamplingSettings:
         Preset.CUSTOM, "Preset of viewports with the realtime integrator, instead of the settings of the final render")
     time_limit: float = setting(0.0, "Stop a final render after this time (0: no limit)", low=0.0, high=1e9,
                                 soft_high=3600.0, unit="s")
+    motion_steps: int = setting(
+        32, "Most moments that a final render with motion blur averages: fast motion shows as many pictures side by "
+        "side where there are few. Each costs an evaluation of the scene, and of what moves the update", low=1,
+        high=1024, soft_high=256)
     seed: int = setting(0, "Seed of the random numbers: the same seed gives the same picture", low=0,
                         high=(1 << 31) - 1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the render tab for both integrators: light paths, simplification, film, performance."""
+"""Panels of the render tab for both integrators: light paths, simplification, motion blur, film, performance."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from bpy.types import Panel
 from .panel import BurnishPanel
 
 __all__ = ["classes"]
+
+SHUTTER_SHAPES = {'SMOOTHCURVE': 'SMOOTH', 'SPHERECURVE': 'ROUND', 'ROOTCURVE': 'ROOT', 'SHARPCURVE': 'SHARP',
+                  'LINCURVE': 'LINE', 'NOCURVE': 'MAX'}
+"""Blender's ready-made curves by their icons"""
 
 
 class BURNISH_RENDER_PT_light_paths(BurnishPanel, Panel):
@@ -57,6 +61,44 @@ class BURNISH_RENDER_PT_simplify(BurnishPanel, Panel):
             column = layout.column(heading=heading)
             column.prop(render, f"simplify_subdivision{suffix}", text="Max Subdivision")
             column.prop(render, f"simplify_child_particles{suffix}", text="Child Particles")
+
+
+class BURNISH_RENDER_PT_motion_blur(BurnishPanel, Panel):
+    """The shutter of final renders, as Blender's other engines have it."""
+
+    bl_label = "Motion Blur"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw_header(self, context: Any) -> None:
+        """Draw the switch."""
+        self.layout.prop(context.scene.render, "use_motion_blur", text="")
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, render = self.split_layout(), context.scene.render
+        layout.active = render.use_motion_blur
+        layout.prop(render, "motion_blur_position", text="Position")
+        layout.prop(render, "motion_blur_shutter")
+        layout.prop(context.scene.burnish.sampling, "motion_steps", text="Steps")
+        if hasattr(context.view_layer, "use_motion_blur"):
+            layout.prop(context.view_layer, "use_motion_blur", text="In This View Layer")
+
+
+class BURNISH_RENDER_PT_motion_blur_curve(BurnishPanel, Panel):
+    """How the shutter opens and closes."""
+
+    bl_label = "Shutter Curve"
+    bl_parent_id = "BURNISH_RENDER_PT_motion_blur"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    def draw(self, context: Any) -> None:
+        """Draw."""
+        layout, render = self.split_layout(), context.scene.render
+        layout.active = render.use_motion_blur
+        layout.template_curve_mapping(render, "motion_blur_shutter_curve")
+        row = layout.row(align=True)
+        for icon, shape in SHUTTER_SHAPES.items():
+            row.operator("render.shutter_curve_preset", icon=icon, text="").shape = shape
 
 
 class BURNISH_RENDER_PT_film(BurnishPanel, Panel):
@@ -135,6 +177,8 @@ classes = (
     BURNISH_RENDER_PT_light_paths,
     BURNISH_RENDER_PT_light_paths_clamping,
     BURNISH_RENDER_PT_simplify,
+    BURNISH_RENDER_PT_motion_blur,
+    BURNISH_RENDER_PT_motion_blur_curve,
     BURNISH_RENDER_PT_film,
     BURNISH_RENDER_PT_film_filter,
     BURNISH_RENDER_PT_performance,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...engine.report import Report, ReportKind
+from ...engine.report import Report
 from ...engine.scene import (
     InstanceTable,
     LightData,
@@ -122,8 +122,8 @@ class SceneExtractor:
 
         Args:
             depsgraph: Evaluated dependency graph.
-            viewport: Trust `depsgraph.updates` (only right inside `view_update`); else all but unchanged meshes is
-                read again, and what came out the same is not sent.
+            viewport: Trust `depsgraph.updates` (right inside `view_update` and after each `RenderEngine.frame_set`);
+                else all but unchanged meshes is read again, and what came out the same is not sent.
             report: Takes the entries about everything that is now in the scene, changed or not: pass a fresh one.
             progress: Called with a text and a fraction.
             cancelled: Asked often; True ends the extraction.
@@ -184,8 +184,6 @@ class SceneExtractor:
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
-            if depsgraph.mode == 'RENDER' and depsgraph.scene.render.use_motion_blur:
-                self._walk_report.add(ReportKind.SKIPPED, "", "motion blur is not drawn in this version")
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
             lamps = self._extract_lights(gathered, changes)
             self._extract_materials(delta, gathered, changes, images, callbacks)

@@ -56,13 +56,15 @@ class FinalDenoise:
         self._guide_samples = 0
         self._noiseless = False
         """Whether the guides are free of noise: made of most samples, or denoised"""
+        self._sums: tuple[wp.array, wp.array] | None = None
+        """Of as many guide samples at several moments, instead of `guides` at one"""
         self._options: tuple[Options, Options] | None = None
         """The path tracer's and those made of them: the same object again, for what is recorded with it"""
         self._blend = RestBlend(device)
 
     def reset(self) -> None:
         """Forget the guides: what is seen has changed."""
-        self._guides = None
+        self._guides = self._sums = None
 
     def guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
                samples: int) -> tuple[wp.array, wp.array]:
@@ -76,20 +78,51 @@ class FinalDenoise:
             table: Inverse distribution of the pixel filter.
             samples: How many the picture has, or frames.
         """
+        if self._sums is not None:
+            return self._mean_guides()
         fewest, most = GUIDE_SAMPLES
         wanted = fewest if tracer.cuda else PROCESSOR_GUIDES
         while 2 * wanted <= min(samples // 4, most):
             wanted *= 2
         if self._guides is None or self._guide_samples < wanted:
-            if self._options is None or self._options[0] is not options:
-                self._options = options, without_roulette(options)
-            count, options = sum(band.count for band in tracer.bands), self._options[1]
-            albedo, normal = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
-
-            tracer.each_band(tracer.bands, lambda band: find_guides(
-                tracer, band, scene, frame, options, table, wanted, albedo, normal))
-            self._guides, self._guide_samples, self._noiseless = (albedo, normal), wanted, wanted == most
+            guides = self._blank_guides(tracer)
+            self._find_guides(tracer, scene, frame, options, table, (0, wanted), 1.0 / wanted, guides)
+            self._guides, self._guide_samples, self._noiseless = guides, wanted, wanted == most
         return self._guides
+
+    def add_guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
+                   count: int) -> None:
+        """Add `count` samples to guides that are means over moments, up to the most; the rest as of guides().
+
+        With a moving scene or camera their noise is of kinds that samples at one moment don't have: they always count
+        as noisy.
+        """
+        if self._sums is None:
+            self._sums, self._guide_samples = self._blank_guides(tracer), 0
+        count = min(count, GUIDE_SAMPLES[1] - self._guide_samples)
+        if count > 0:
+            self._find_guides(tracer, scene, frame, options, table, (self._guide_samples, count), 1.0, self._sums)
+            self._guide_samples += count
+            self._guides, self._noiseless = None, False
+
+    def _mean_guides(self) -> tuple[wp.array, wp.array]:
+        if self._guides is None:
+            self._guides = tuple(
+                wp.array(sums.numpy() / self._guide_samples, dtype=wp.vec3, device=self.device) for sums in self._sums)
+        return self._guides
+
+    def _blank_guides(self, tracer: ReferencePass) -> tuple[wp.array, wp.array]:
+        count = sum(band.count for band in tracer.bands)
+        return tuple(wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
+
+    def _find_guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
+                     samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array]) -> None:
+        """Add the guides of all pixels: `samples` are the first and how many, each of which counts for `share`."""
+        if self._options is None or self._options[0] is not options:
+            self._options = options, without_roulette(options)
+        whole = self._options[1]
+        tracer.each_band(tracer.bands, lambda band: find_guides(
+            tracer, band, scene, frame, whole, table, samples, share, guides))
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
             traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool) -> wp.array:
@@ -99,7 +132,7 @@ class FinalDenoise:
             library: From oidn.load.
             guides: From `guides`.
             size: Width and height [px].
-            clean: Whether the guides are free of noise: not where the lens blurs them.
+            clean: Whether the guides are free of noise: not where the lens blurs them. Nor where motion does.
             traced: Path-traced samples and what traced them; None without.
             picture: vec4 [h * w], what real-time frames (and samples, if any) make; None without frames. One of the
                 two must be there.
@@ -120,7 +153,7 @@ class FinalDenoise:
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
             color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1],
-            clean=clean and (self._noiseless or prefilter), prefilter=prefilter))
+            clean=clean and self._sums is None and (self._noiseless or prefilter), prefilter=prefilter))
         self._noiseless = self._noiseless or prefilter
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
@@ -146,16 +179,16 @@ def without_roulette(options: Options) -> Options:
 
 
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                samples: int, albedo: wp.array, normal: wp.array) -> None:
-    """Add the guides of a band's pixels, means of so many samples, in as few batches as there are path states for."""
+                samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array]) -> None:
+    """Add the guides of a band's pixels, see FinalDenoise, in as few batches as there are path states for."""
     def trace(slot: Wavefront, done: int, count: int) -> None:
         # After so many rounds no path goes on.
         slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
                    (band.first, band.count), (done, count), MIRRORS + 1, lambda: False)
         launch(denoise_guides.average_guides, band.count,
-               [slot.paths, band.first, band.count, count, 1.0 / samples], [albedo, normal], tracer.device)
+               [slot.paths, band.first, band.count, count, share], list(guides), tracer.device)
 
-    tracer.in_batches(band, 0, samples, trace)
+    tracer.in_batches(band, samples[0], sum(samples), trace)
 
 
 def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:

@@ -54,6 +54,8 @@ PATH_BYTES = 504
 MEMORY_SHARE = 0.25
 """Of the device's free memory that path states may take"""
 
+BACKGROUND_DEPTH = 1e10
+"""Depth where there is no surface, as Cycles writes it"""
 
 # Not a limit of the integrator: roulette ends every path long before, unless a scene keeps all light for ever.
 BOUNCE_STOP = 4096
@@ -120,6 +122,29 @@ class FilmBuffers:
             report.add(ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there",
                        overruns)
         return report
+
+
+    def read_surfaces(self, name: str, origin: np.ndarray) -> np.ndarray:
+        """Return a pass of the first surfaces, Emission or Environment: float32 [h * w, channels].
+
+        Args:
+            name: As of Session.read.
+            origin: float64 [3], the scene's origin, which positions are relative to.
+        """
+        counts = np.maximum(self.film.samples.numpy(), 1)[:, None]
+        uv, position = self.film.uv.numpy(), self.film.position.numpy()
+        if name == "Depth":
+            seen = position.any(1) | (uv[:, 2] > 0)
+            return np.where(seen, self.film.depth.numpy(), BACKGROUND_DEPTH)[:, None]
+        if name == "Normal":
+            return self.film.normal.numpy()[:, :3] / counts
+        if name == "UV":
+            return uv[:, :3] / counts
+        if name == "Position":
+            return np.where(uv[:, 2:3] > 0, position[:, :3] + origin.astype(np.float32), 0.0)
+        if name in ("Emission", "Environment"):
+            return getattr(self.film, name.lower()).numpy() / counts
+        return position[:, 3:4] if name == "Object Index" else uv[:, 3:4]
 
 
 @dataclass

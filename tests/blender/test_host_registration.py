@@ -121,6 +121,7 @@ class Layout:
     def label(self, text="", **options): assert isinstance(text, str)
     def separator(self): pass
     def template_preview(self, data): pass
+    def template_curve_mapping(self, data, name): self.prop(data, name)
     def prop_search(self, data, name, source, items, **options):
         assert items in source.bl_rna.properties, (source, items)
         self.prop(data, name)
@@ -159,9 +160,9 @@ for light, integrator in zip(lamps, ('REFERENCE', 'REALTIME') * 2):
             panel.draw(instance, context)
             if hasattr(panel, "draw_header"):
                 panel.draw_header(instance, context)
-both = {"integrator", "samples", "energy", "use_pass_emit", "visible_shadow", "max_bounces", "lightgroup",
-        "use_pass_diffuse_color", "use_pass_glossy_direct", "use_pass_transmission_indirect", "use_pass_mist", "aovs",
-        "use_pass_cryptomatte_asset"}
+both = {"integrator", "samples", "motion_steps", "motion_blur_shutter_curve", "energy", "use_pass_emit",
+        "visible_shadow", "max_bounces", "lightgroup", "use_pass_diffuse_color", "use_pass_glossy_direct",
+        "use_pass_transmission_indirect", "use_pass_mist", "aovs", "use_pass_cryptomatte_asset"}
 assert both | {"spot_size", "lightgroups"} <= drawn_by['REFERENCE'], drawn_by
 from burnish.engine.settings import (
     CacheSettings, DenoiserSettings, DirectLightSettings, ProbeSettings, ReflectionSettings, setting_info)
