@@ -4,11 +4,12 @@
 # make package  build and validate the extension's zips in dist/
 # make gui      drive a real Blender window with the installed extension; pictures in out/gui/
 # make figures  draw the paper's figures to out/figures and write docs/figures.md (SCENES="A.blend B.blend")
-# make lint     ruff; make docs: the README's settings table; make lock: requirements.txt anew; make clean
+# make docs     renew the table of docs/settings.md; make plots: draw docs/plots/*.svg from the tables of docs/*.md
+# make lint     ruff; make lock: requirements.txt anew; make clean
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup render test slow gui figures lint docs lock package clean
+.PHONY: help setup render test slow gui figures lint docs plots lock package clean
 
 PYTHON = .venv/bin/python
 PYTEST = $(PYTHON) -m pytest
@@ -65,6 +66,9 @@ lint: setup
 
 docs: setup
 	@$(PYTHON) tests/readme_settings.py --write
+
+plots: setup
+	@$(PYTHON) tests/performance/plots.py
 
 lock: setup
 	@$(PYTHON) -m venv --clear out/uv && out/uv/bin/pip install --quiet uv

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All settings, declared once: names, defaults, ranges and help.
 
-Blender properties, panels, the command line, the README's table and the tests are made from these
+Blender properties, panels, the command line, the table of docs/settings.md and the tests are made from these
 dataclasses; nothing else in the package repeats a default or a range. Knows nothing of Blender.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the README's table of settings from engine.settings: `--write` renews it, else exit 1 where it is stale."""
+"""Makes the table of docs/settings.md from engine.settings: `--write` renews it, else exit 1 where it is stale."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from burnish.engine.settings import RenderSettings
 
-README = Path(__file__).resolve().parent.parent / "README.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "settings.md"
 BEGIN = "<!-- The table down to `end of settings` is made by `make docs`. -->"
 END = "<!-- end of settings -->"
 
@@ -50,9 +50,9 @@ def rows(settings: Any, group: str = "") -> list[str]:
     return lines
 
 
-def renewed(readme: str) -> str:
-    """Return the README with its table made anew."""
-    before, rest = readme.split(BEGIN)
+def renewed(page: str) -> str:
+    """Return the page with its table made anew."""
+    before, rest = page.split(BEGIN)
     after = rest.split(END)[1]
     table = "\n".join(["| group | setting | default | values | meaning |", "|---|---|---|---|---|",
                        *rows(RenderSettings())])
@@ -60,12 +60,12 @@ def renewed(readme: str) -> str:
 
 
 def main() -> int:
-    """Renew the README's table, or tell whether it is stale."""
-    readme = README.read_text("utf-8")
+    """Renew the page's table, or tell whether it is stale."""
+    page = PAGE.read_text("utf-8")
     if "--write" in sys.argv:
-        README.write_text(renewed(readme), "utf-8")
-    elif renewed(readme) != readme:
-        print("The README's settings table is stale; run `make docs`.", file=sys.stderr)
+        PAGE.write_text(renewed(page), "utf-8")
+    elif renewed(page) != page:
+        print("The table of docs/settings.md is stale; run `make docs`.", file=sys.stderr)
         return 1
     return 0
 

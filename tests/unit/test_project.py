@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The project's own files: manifest, requirements, README, changelog, and what must not stand in any of them."""
+"""The project's own files: manifest, requirements, settings, changelog, and what must not stand in any of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = (".ci", "addon", "engine", "kernels", "sample_blends", "tests", "ui")
+FOLDERS = (".ci", "addon", "docs", "engine", "kernels", "sample_blends", "tests", "ui")
 IGNORED = {"__pycache__", ".ruff_cache", ".pytest_cache", ".venv.lock"}
 TEXT = {".md", ".py", ".toml", ".txt", ".json", ".yaml", ".yml", ""}
 
@@ -89,8 +89,8 @@ def test_no_registry_and_no_machine_path() -> None:
     assert not errors, "\n".join(errors)
 
 
-def test_readme_lists_current_settings() -> None:
-    """Find the README's table as engine.settings would make it."""
+def test_settings_page_lists_current_settings() -> None:
+    """Find the table of docs/settings.md as engine.settings would make it."""
     result = subprocess.run([sys.executable, ROOT / "tests" / "readme_settings.py"], capture_output=True, text=True,
                             timeout=60)
     assert result.returncode == 0, result.stderr
