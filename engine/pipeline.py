@@ -309,7 +309,7 @@ class Pipeline:
         self.cache.record_pending(
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
-            graph, parity, kernels_scene, views, filtered=filtered, all_lean=lean.surface,
+            graph, parity, kernels_scene, scene.structures, views, filtered=filtered, all_lean=lean.surface,
             lean_layers=lean.transparency, shining=shining)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         with graph.branch(REPROJECTION):

@@ -60,8 +60,18 @@ class WideBvh:
     """First node and count of each"""
     references: int
     """N"""
-    split: bool
-    """Whether some triangles have more than one reference"""
+    wholes: wp.array
+    """int: a reference to each triangle, ascending, where some triangles have more than one; else empty"""
+
+    @property
+    def split(self) -> bool:
+        """Return whether some triangles have more than one reference."""
+        return len(self.wholes) > 0
+
+    @property
+    def triangle_count(self) -> int:
+        """Return how many triangles there are."""
+        return len(self.wholes) or self.references
 
     def take_out(self, faces: wp.array, leaving: wp.array) -> None:
         """Take out the triangles of instances, in place, and shrink the boxes above them.
@@ -131,7 +141,10 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
             break
     triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
     launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [triangles], device)
-    return WideBvh(nodes, triangles, levels, len(items), parts is not whole)
+    wholes = np.zeros(0, np.int32)
+    if parts is not whole:
+        wholes = np.sort(np.unique(parts.faces.numpy()[items.numpy()], return_index=True)[1]).astype(np.int32)
+    return WideBvh(nodes, triangles, levels, len(items), wp.array(wholes, dtype=int, device=device))
 
 
 def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:

@@ -75,6 +75,51 @@ ANSWER_WORDS = wp.constant(520)
 """Before the image: whole fours"""
 IMAGE_BORDER = wp.constant(2)
 
+_LEAST_AND_MOST = """
+#ifdef __CUDA_ARCH__
+    auto least = [](float a, float b) -> float { return fminf(a, b); };
+    auto most = [](float a, float b) -> float { return fmaxf(a, b); };
+#else
+    auto least = [](float a, float b) -> float { return a < b ? a : b; };
+    auto most = [](float a, float b) -> float { return a > b ? a : b; };
+#endif
+"""
+# What a ray needs for its tests, and the test of a triangle whose vertices, less the ray's origin, are p, q and r with
+# turned axes: the weights of p, q and r times the determinant, and the distance t in the block that it opens.
+_SHEAR = """
+    // Shear that maps the ray to the axis along which it is longest.
+    const int axis = wp::abs(dx) > wp::abs(dy) ? (wp::abs(dx) > wp::abs(dz) ? 0 : 2)
+        : (wp::abs(dy) > wp::abs(dz) ? 1 : 2);
+    auto turned = [&](float x, float y, float z, float& a, float& b, float& c) {
+        a = axis == 0 ? y : (axis == 1 ? z : x);
+        b = axis == 0 ? z : (axis == 1 ? x : y);
+        c = axis == 0 ? x : (axis == 1 ? y : z);
+    };
+    float sx, sy, sz;
+    turned(dx, dy, dz, sx, sy, sz);
+    sz = 1.0f / sz;
+    sx = sx * sz;
+    sy = sy * sz;
+    // Differences of products by Kahan: their sign is exact, so two triangles agree about the edge they share.
+    auto product_difference = [](float a, float b, float c, float d) -> float {
+        const float cd = c * d;
+        return fmaf(a, b, -cd) + fmaf(-c, d, cd);
+    };
+"""
+_MEET = """
+            px = fmaf(-sx, pz, px); py = fmaf(-sy, pz, py);
+            qx = fmaf(-sx, qz, qx); qy = fmaf(-sy, qz, qy);
+            rx = fmaf(-sx, rz, rx); ry = fmaf(-sy, rz, ry);
+            const float u = product_difference(rx, qy, ry, qx);
+            const float v = product_difference(px, ry, py, rx);
+            const float w = product_difference(qx, py, qy, px);
+            const bool outside = least(u, least(v, w)) < 0.0f && most(u, most(v, w)) > 0.0f;
+            const float determinant = u + v + w;
+            if (!outside && determinant != 0.0f) {
+                const float scale = 1.0f / determinant;
+                const float t = sz * (u * pz + v * qz + w * rz) * scale;
+"""
+
 _TRAVERSE = """
     // Loads of four words, bit patterns, bit counting.
 #ifdef __CUDA_ARCH__
@@ -86,8 +131,6 @@ _TRAVERSE = """
     auto as_float = [](unsigned int bits) -> float { return __uint_as_float(bits); };
     auto highest_bit = [](unsigned int bits) -> int { return 31 - __clz((int)bits); };
     auto bit_count = [](unsigned int bits) -> int { return __popc((int)bits); };
-    auto least = [](float a, float b) -> float { return fminf(a, b); };
-    auto most = [](float a, float b) -> float { return fmaxf(a, b); };
 #else
     struct Row { unsigned int x, y, z, w; };
     auto load = [](const wp::uint32* words, unsigned int row) -> Row {
@@ -98,9 +141,8 @@ _TRAVERSE = """
     auto as_float = [](unsigned int bits) -> float { union { unsigned int u; float f; } c; c.u = bits; return c.f; };
     auto highest_bit = [](unsigned int bits) -> int { return 31 - __builtin_clz(bits); };
     auto bit_count = [](unsigned int bits) -> int { return __builtin_popcount(bits); };
-    auto least = [](float a, float b) -> float { return a < b ? a : b; };
-    auto most = [](float a, float b) -> float { return a > b ? a : b; };
 #endif
+LEAST_AND_MOST
     const wp::uint32* node_words = nodes.data;
     const wp::uint32* triangle_words = triangles.data;
     const float ox = origin[0], oy = origin[1], oz = origin[2];
@@ -111,30 +153,13 @@ _TRAVERSE = """
     const float iz = 1.0f / (wp::abs(dz) > 1.0e-20f ? dz : (dz < 0.0f ? -1.0e-20f : 1.0e-20f));
     const bool nx = dx < 0.0f, ny = dy < 0.0f, nz = dz < 0.0f;
     const unsigned int inverse_octant = 7u - ((nx ? 4u : 0u) | (ny ? 2u : 0u) | (nz ? 1u : 0u));
-    // Shear that maps the ray to the axis along which it is longest.
-    const int axis = wp::abs(dx) > wp::abs(dy) ? (wp::abs(dx) > wp::abs(dz) ? 0 : 2)
-        : (wp::abs(dy) > wp::abs(dz) ? 1 : 2);
-    auto turned = [&](float x, float y, float z, float& a, float& b, float& c) {
-        a = axis == 0 ? y : (axis == 1 ? z : x);
-        b = axis == 0 ? z : (axis == 1 ? x : y);
-        c = axis == 0 ? x : (axis == 1 ? y : z);
-    };
-    float sx, sy, sz;
-    turned(dx, dy, dz, sx, sy, sz);
+SHEAR
 #ifndef __CUDA_ARCH__
     // A processor loads what it has turned: the origin, and where the turned axes lie.
     float oa, ob, oc;
     turned(ox, oy, oz, oa, ob, oc);
     const int ka = axis == 2 ? 0 : axis + 1, kb = axis == 0 ? 2 : axis - 1;
 #endif
-    sz = 1.0f / sz;
-    sx = sx * sz;
-    sy = sy * sz;
-    // Differences of products by Kahan: their sign is exact, so two triangles agree about the edge they share.
-    auto product_difference = [](float a, float b, float c, float d) -> float {
-        const float cd = c * d;
-        return fmaf(a, b, -cd) + fmaf(-c, d, cd);
-    };
     float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
     int best_key = -1;
     unsigned long long stack[STACK_SIZE];
@@ -196,17 +221,7 @@ POSTPONE            const int bit = highest_bit(leaves);
             const unsigned int opacity_word = corner(1u, qx, qy, qz);
             const unsigned int map_word = corner(2u, rx, ry, rz);
 #endif
-            px = fmaf(-sx, pz, px); py = fmaf(-sy, pz, py);
-            qx = fmaf(-sx, qz, qx); qy = fmaf(-sy, qz, qy);
-            rx = fmaf(-sx, rz, rx); ry = fmaf(-sy, rz, ry);
-            const float u = product_difference(rx, qy, ry, qx);
-            const float v = product_difference(px, ry, py, rx);
-            const float w = product_difference(qx, py, qy, px);
-            const bool outside = least(u, least(v, w)) < 0.0f && most(u, most(v, w)) > 0.0f;
-            const float determinant = u + v + w;
-            if (!outside && determinant != 0.0f) {
-                const float scale = 1.0f / determinant;
-                const float t = sz * (u * pz + v * qz + w * rz) * scale;
+MEET
                 if (t >= 0.0f && (t < best_t || (t == best_t && KEY < best_key))) {
                     FOUND
                 }
@@ -306,7 +321,11 @@ def query_source(found: str, result: str, postpone: str = "", waiting: int = 0, 
         waiting: WAITING with POSTPONE.
         key: What tells hits at the same distance apart: the lowest counts.
     """
-    text = _TRAVERSE.replace("TEST_BOXES\n", _TEST_BOXES.lstrip("\n")).replace("POSTPONE", postpone.lstrip("\n"))
+    text = _TRAVERSE
+    for name, block in (("LEAST_AND_MOST", _LEAST_AND_MOST), ("SHEAR", _SHEAR), ("TEST_BOXES", _TEST_BOXES),
+                        ("MEET", _MEET)):
+        text = text.replace(f"{name}\n", block.lstrip("\n"))
+    text = text.replace("POSTPONE", postpone.lstrip("\n"))
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"
 
@@ -327,4 +346,26 @@ def any_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> bool:
     """Return whether any triangle lies closer than t_max."""
+    ...
+
+
+@wp.func_native("""
+    const float ox = origin[0], oy = origin[1], oz = origin[2];
+    const float dx = direction[0], dy = direction[1], dz = direction[2];
+""" + _LEAST_AND_MOST + _SHEAR + """
+    float px, py, pz, qx, qy, qz, rx, ry, rz;
+    turned(p[0] - ox, p[1] - oy, p[2] - oz, px, py, pz);
+    turned(q[0] - ox, q[1] - oy, q[2] - oz, qx, qy, qz);
+    turned(r[0] - ox, r[1] - oy, r[2] - oz, rx, ry, rz);
+""" + _MEET + """
+                if (t >= 0.0f)
+                    return wp::vec4(t, u * scale, v * scale, 1.0f);
+            }
+    return wp::vec4(0.0f, 0.0f, 0.0f, -1.0f);
+""")
+def meet_triangle(p: wp.vec3, q: wp.vec3, r: wp.vec3, origin: wp.vec3, direction: wp.vec3) -> wp.vec4:
+    """Return t, the weights of the first and second vertex, and 1 where a ray meets a triangle; the last is -1 if not.
+
+    The test of the queries, for who knows a triangle already.
+    """
     ...

@@ -70,7 +70,8 @@ class Frames:
             graph = FrameGraph(self.device)
             motion = self.motion.advance(self.scene)
             scene, filtered = self.scene.scene, self.scene.structures.has_filtered
-            current = self.gbuffer.record(graph, parity, scene, self.views.array, filtered=filtered)
+            current = self.gbuffer.record(
+                graph, parity, scene, self.scene.structures, self.views.array, filtered=filtered)
             self.gbuffer.record_reprojection(graph, parity, scene, self.views.array, motion)
             self.direct.record_emitters(graph, scene, local_power(self.scene))
             self.light = self.direct.record(

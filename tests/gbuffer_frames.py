@@ -41,14 +41,14 @@ def unpack_gbuffer(
 class GBufferFrames:
     """Renders G-buffers of one scene."""
 
-    def __init__(self, delta: object, size: tuple[int, int] = (16, 16)):
+    def __init__(self, delta: object, size: tuple[int, int] = (16, 16), *, rasterizing: bool | None = None):
         self.device = str(scenes.SETTINGS.device)
         self.scene = DeviceScene(self.device)
         self.scene.apply(delta, PerformanceSettings())
         self.views = ViewTracker(self.device)
         self.motion = MotionTracker(self.device)
         self.width, self.height = size
-        self.gbuffer_pass = GBufferPass(self.device)
+        self.gbuffer_pass = GBufferPass(self.device, rasterizing=rasterizing)
         self.gbuffer_pass.resize(*size)
         self.moved = False
         self.graphs: dict | None = None
@@ -73,7 +73,8 @@ class GBufferFrames:
         if graph is None:
             graph = FrameGraph(self.device)
             self.gbuffer_pass.record(
-                graph, parity, scene, self.views.array, filtered=self.scene.structures.has_filtered,
+                graph, parity, scene, self.scene.structures, self.views.array,
+                filtered=self.scene.structures.has_filtered,
                 lean_layers=self.scene.material_table.lean.transparency,
                 shining=shines_plainly(scene, self.scene.emitters))
             self.gbuffer_pass.record_reprojection(graph, parity, scene, self.views.array, motion)

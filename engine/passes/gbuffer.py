@@ -20,15 +20,15 @@ from ...kernels import (
 from ...kernels.gbuffer import GBuffer
 from ...kernels.gbuffer_rays import PrimaryHits
 from ...kernels.motion import Motion
-from ...kernels.pixel_order import PIXEL_BLOCK
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..emitters import EmitterTable
 from ..frame_graph import FrameGraph
 from ..history import History
-from ..structures import is_flat
+from ..structures import Structures, is_flat
 from ..work_list import make_work_list
+from .primary_raster import PrimaryRaster, count_in_blocks
 
 __all__ = ["GBufferPass"]
 
@@ -63,9 +63,13 @@ class GBufferPass:
     name = "gbuffer"
     debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in DEBUG_CHANNELS}
 
-    def __init__(self, device: str):
+    def __init__(self, device: str, *, rasterizing: bool | None = None):
+        """Make the pass; `rasterizing`: whether triangles are drawn instead of rays traced (None: on CUDA)."""
         self.device = device
         self.width = self.height = 0
+        if rasterizing is None:
+            rasterizing = wp.get_device(device).is_cuda
+        self.raster = PrimaryRaster(device) if rasterizing else None
 
     def resize(self, width: int, height: int) -> None:
         """Allocate for a picture of that size [px]."""
@@ -76,6 +80,8 @@ class GBufferPass:
             PrimaryHits(), {"t": wp.float32, "hit": wp.vec2i, "barycentrics": wp.vec2}, count)
         self._fit_layers(1)
         self.left = make_work_list(count, self.device)
+        if self.raster is not None:
+            self.raster.resize(width, height)
         self.reprojection = self._fill(Reprojection(), {"position": wp.vec2, "taps": wp.uint8}, count)
 
     def _fill(self, buffers: object, arrays: dict[str, type], count: int) -> object:
@@ -103,8 +109,8 @@ class GBufferPass:
         return self.history.previous(parity)
 
     def record(
-        self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, *, filtered: bool = True,
-        all_lean: bool = False, lean_layers: bool = False, shining: bool = False,
+        self, graph: FrameGraph, parity: int, scene: Scene, structures: Structures, views: wp.array, *,
+        filtered: bool = True, all_lean: bool = False, lean_layers: bool = False, shining: bool = False,
     ) -> GBuffer:
         """Record the G-buffer of a frame.
 
@@ -112,6 +118,7 @@ class GBufferPass:
             graph: What to add to.
             parity: 0 for even frames, 1 for odd ones.
             scene: The scene.
+            structures: Its acceleration structures.
             views: One element.
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
@@ -119,15 +126,16 @@ class GBufferPass:
             shining: Whether layers may hide what shines without a program (see shines_plainly).
         """
         width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
-        count, side = width * height, int(PIXEL_BLOCK)
-        in_blocks = -(-width // side) * -(-height // side) * side * side
+        count, in_blocks = width * height, count_in_blocks(width, height)
         layers = int(gbuffer_rays.LAYERS_NONE)
         if filtered:
             layers = int(gbuffer_rays.LAYERS_LIT if shining and lean_layers else gbuffer_rays.LAYERS_DARK)
             if len(hits.weight) != count:
                 self._fit_layers(count)
         with graph.section("Primary rays"):
-            if is_flat(scene):
+            if self.raster is not None:
+                self.raster.record(graph, scene, structures, views, hits, filtered=filtered)
+            elif is_flat(scene):
                 trace = flat_tracing.trace_flat_layered_primary if filtered else flat_tracing.trace_flat_primary
                 graph.launch(trace, in_blocks, [views, scene, width, height], [hits])
             else:
@@ -163,7 +171,7 @@ class GBufferPass:
     ) -> None:
         """Record looking through the layers in front of what pixels show; `lit`: something may shine behind them."""
         width, height, hits = self.width, self.height, self.hits
-        if not is_flat(scene):
+        if self.raster is None and not is_flat(scene):
             graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
         if lean:
             graph.fill_list(

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What pixels show, found by drawing triangles instead of tracing rays: the same picture in two thirds of the time.
+
+Only on CUDA: a processor would have to draw in one thread, since its atomics are not atomic, and traces faster.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...kernels import raster, raster_resolve
+from ...kernels.gbuffer_rays import PrimaryHits
+from ...kernels.pixel_order import PIXEL_BLOCK
+from ...kernels.raster import RasterLists, Visibility
+from ...kernels.types import FlatTriangles, Scene
+from ..frame_graph import FrameGraph
+from ..structures import FlatStructure, Structures, is_flat
+from ..work_list import make_work_list
+
+__all__ = ["PrimaryRaster", "count_in_blocks"]
+
+RECORDS = 1 << 18
+"""Triangles that may be dealt out: 12 MiB"""
+TILES = 1 << 20
+"""Tiles of triangles that may wait: 16 MiB. One triangle over all of a 1080p picture has 8,160"""
+BLOCKS = 1 << 17
+GROUPS = 1 << 13
+"""Tiles that are drawn at a time: as many warps as a large GPU has under way, or some more"""
+
+
+def count_in_blocks(width: int, height: int) -> int:
+    """Return how many threads a kernel has whose pixels go by pixel_in_blocks."""
+    side = int(PIXEL_BLOCK)
+    return -(-width // side) * -(-height // side) * side * side
+
+
+class PrimaryRaster:
+    """Owns the visibility buffer and the lists of what waits to be drawn."""
+
+    def __init__(self, device: str):
+        self.device = device
+        self.records, self.tiles, self.blocks = RECORDS, TILES, BLOCKS
+
+    def resize(self, width: int, height: int) -> None:
+        """Allocate for a picture of that size [px]."""
+        self.width, self.height = width, height
+        self.seen = Visibility()
+        self.seen.nearest = wp.zeros(width * height, dtype=wp.uint64, device=self.device)
+        self.seen.veiled = wp.zeros(1, dtype=wp.uint8, device=self.device)
+        self.lists = RasterLists()
+        self.lists.records = wp.zeros(3 * self.records, dtype=wp.vec4, device=self.device)
+        self.lists.tiles = wp.zeros(self.tiles, dtype=wp.vec4i, device=self.device)
+        self.lists.blocks = wp.zeros(self.blocks, dtype=wp.vec4i, device=self.device)
+        self.lists.counts = wp.zeros(3, dtype=int, device=self.device)
+
+    def record(
+        self, graph: FrameGraph, scene: Scene, structures: Structures, views: wp.array, hits: PrimaryHits, *,
+        filtered: bool,
+    ) -> None:
+        """Record finding what pixels show and, with `filtered`, the first triangle before it that needs a test."""
+        geometry = scene.geometry
+        count, in_blocks = self.width * self.height, count_in_blocks(self.width, self.height)
+        graph.clear(self.seen.nearest)
+        self._record_triangles(graph, structures.opaque, geometry.flat, views, veils=False)
+        if filtered:
+            if len(self.seen.veiled) != count:
+                self.seen.veiled = wp.zeros(count, dtype=wp.uint8, device=self.device)
+                self.veiled = make_work_list(count, self.device)
+            graph.clear(self.seen.veiled)
+            self._record_triangles(graph, structures.filtered, geometry.flat_filtered, views, veils=True)
+        view = [views, scene, self.width]
+        graph.launch(
+            raster_resolve.resolve_hits, in_blocks, [*view, self.height, int(filtered), self.seen], [hits])
+        if not is_flat(scene):
+            graph.launch(raster_resolve.resolve_instances, in_blocks, [*view, self.height], [hits])
+            if filtered:
+                graph.launch(raster_resolve.trace_instanced_veils, count, [*view, self.seen], [hits])
+        elif filtered:
+            graph.fill_list(raster_resolve.append_veiled, in_blocks, [self.seen, self.width, self.height], self.veiled)
+            graph.launch_listed(raster_resolve.trace_veils, [*view, self.seen], self.veiled, [hits])
+
+    def _record_triangles(
+        self, graph: FrameGraph, structure: FlatStructure, flat: FlatTriangles, views: wp.array, *, veils: bool,
+    ) -> None:
+        if structure.wide is None:
+            return
+        wide, how = structure.wide, int(veils)
+        graph.clear(self.lists.counts)
+        graph.launch(
+            raster.raster_triangles, wide.triangle_count,
+            [views, flat.triangles, wide.wholes, self.width, self.height, how], [self.lists, self.seen], banded=False)
+        threads = GROUPS * int(raster.LANES)
+        graph.launch(
+            raster.raster_blocks, threads, [views, self.width, how, GROUPS], [self.lists, self.seen], banded=False)
+        graph.launch(
+            raster.raster_tiles, threads, [views, self.width, how, GROUPS, self.lists], [self.seen], banded=False)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernels that turn a visibility buffer (raster.py) into the hits of primary rays: weights, instances, layers before.
+
+Rays are traced where the buffer says that they are needed: through the triangles that need a test per hit, and through
+the instances that are not flattened.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .camera import CameraRay
+from .flat_tracing import closest_flat_layer, no_hit
+from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
+from .geometry_math import transform_point
+from .intersect import MISS, Hit, Layer, closer_layer, closest_instanced, static_layer
+from .pixel_order import pixel_in_blocks
+from .raster import Visibility, key_depth, key_face
+from .types import FrameData, Geometry, Scene
+from .view import View
+from .wide_bvh import meet_triangle
+from .wide_loads import load_corner, load_instance, load_view
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def nearest_weights(p: wp.vec3, q: wp.vec3, r: wp.vec3, point: wp.vec3) -> wp.vec2:
+    """Return the weights of the second and third vertex of the point of a triangle that is closest to one beside it."""
+    a = q - p
+    b = r - p
+    d = point - p
+    aa = wp.dot(a, a)
+    ab = wp.dot(a, b)
+    bb = wp.dot(b, b)
+    determinant = wp.max(aa * bb - ab * ab, 1.0e-30)
+    u = wp.clamp((bb * wp.dot(a, d) - ab * wp.dot(b, d)) / determinant, 0.0, 1.0)
+    return wp.vec2(u, wp.clamp((aa * wp.dot(b, d) - ab * wp.dot(a, d)) / determinant, 0.0, 1.0 - u))
+
+
+@wp.func
+def seen_hit(geometry: Geometry, frame: FrameData, seen: Visibility, pixel: int, ray: CameraRay) -> Hit:
+    """Return the hit in a pixel of the visibility buffer."""
+    hit = no_hit(ray.t_max)
+    key = seen.nearest[pixel]
+    if key != wp.uint64(0):
+        ids = geometry.flat.faces[key_face(key)]
+        to_world = load_instance(geometry.instances, ids[0]).to_world
+        p = transform_point(to_world, load_corner(geometry, ids[1], 0))
+        q = transform_point(to_world, load_corner(geometry, ids[1], 1))
+        r = transform_point(to_world, load_corner(geometry, ids[1], 2))
+        hit.instance = ids[0]
+        hit.triangle = ids[1]
+        found = meet_triangle(p, q, r, ray.origin, ray.direction)
+        if found[3] > 0.0:
+            hit.t = found[0]
+            hit.u = found[2]
+            hit.v = 1.0 - found[1] - found[2]
+        else:
+            # Some ten thousandths of a pixel beside an edge, by rounding.
+            hit.t = ray.t_max * (key_depth(key) - frame.clip_start) / (frame.clip_end - frame.clip_start)
+            weights = nearest_weights(p, q, r, ray.origin + ray.direction * hit.t)
+            hit.u = weights[0]
+            hit.v = weights[1]
+    return hit
+
+
+@wp.func
+def store_hit(hits: PrimaryHits, pixel: int, hit: Hit):
+    """Store what a pixel shows."""
+    hits.t[pixel] = hit.t
+    hits.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+
+
+@wp.kernel(cuda_max_registers=56)
+def resolve_hits(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    height: int,
+    filtered: int,
+    seen: Visibility,
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """Store what each pixel shows and, if `filtered`, that there is no layer; see flat_tracing.trace_flat_primary."""
+    pixel = pixel_in_blocks(first + wp.tid(), width, height)
+    if pixel < 0:
+        return
+    view = load_view(views)
+    ray = primary_ray(view, pixel % width, pixel // width)
+    store_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, seen, pixel, ray))
+    if filtered == 1:
+        hits_out.layer[pixel] = wp.vec2i(MISS, 0)
+        hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
+
+
+@wp.kernel
+def resolve_instances(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    height: int,
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """Let each pixel's ray look among the instances that are not flattened, before what the pixel shows."""
+    pixel = pixel_in_blocks(first + wp.tid(), width, height)
+    if pixel < 0:
+        return
+    ray = primary_ray(load_view(views), pixel % width, pixel // width)
+    hit = no_hit(hits_out.t[pixel])
+    hit = closest_instanced(scene.geometry, 0, ray.origin, ray.direction, hit)
+    if hit.instance != MISS:
+        store_hit(hits_out, pixel, hit)
+
+
+@wp.kernel
+def append_veiled(
+    # In:
+    seen: Visibility,
+    width: int,
+    height: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the pixels with a triangle before them that needs a test."""
+    pixel = pixel_in_blocks(wp.tid(), width, height)
+    if pixel >= 0:
+        if seen.veiled[pixel] != wp.uint8(0):
+            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
+
+
+@wp.kernel(cuda_max_registers=56)
+def trace_veils(
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    seen: Visibility,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """Find the first triangle that needs a test before what listed pixels show, as trace_primary_layers does."""
+    i = wp.tid()
+    while i < count[0]:
+        pixel = queue[i]
+        if seen.veiled[pixel] != wp.uint8(0):
+            ray = primary_ray(load_view(views), pixel % width, pixel // width)
+            store_primary_layer(hits_out, pixel, closest_flat_layer(
+                scene.geometry, ray.origin, ray.direction, hits_out.t[pixel]))
+        i = i + stride
+
+
+@wp.kernel
+def trace_instanced_veils(
+    # In:
+    first: int,
+    views: wp.array[View],
+    scene: Scene,
+    width: int,
+    seen: Visibility,
+    # Out:
+    hits_out: PrimaryHits,
+):
+    """The same for all pixels, where some instances are not flattened: those are not noted."""
+    pixel = first + wp.tid()
+    ray = primary_ray(load_view(views), pixel % width, pixel // width)
+    layer = Layer()
+    layer.hit = no_hit(hits_out.t[pixel])
+    if seen.veiled[pixel] != wp.uint8(0):
+        layer = static_layer(scene.geometry.flat_filtered, ray.origin, ray.direction, hits_out.t[pixel])
+    store_primary_layer(hits_out, pixel, closer_layer(scene.geometry, ray.origin, ray.direction, layer))
