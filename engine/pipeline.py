@@ -315,7 +315,7 @@ class Pipeline:
         with graph.branch(REPROJECTION):
             self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)
         graph.join(PREPARATION)
-        color = self.composite.color.previous(parity)
+        color, matte = self.composite.color.previous(parity), self.composite.matte.previous(parity)
         traced = self._reflecting(graph, scene)
         gathering = self._gathering(graph, resting)
         reflectors = scene.material_table.reflectors
@@ -328,7 +328,7 @@ class Pipeline:
         for each in traced + gathering:
             with graph.branch(each.name):
                 each.record_rays(
-                    graph, parity, views, surfaces, before, color, what, self.cache.cells(smallest), after=branches)
+                    graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
         with graph.branch(DIRECT):
             direct = self._record_direct(graph, parity, phase, scene, views, surfaces) if lit else self._black
@@ -366,7 +366,8 @@ class Pipeline:
             picture = self.composite.record(
                 graph, parity, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
-                self.reflections.options if self.reflections in traced else None, gathered, mirrors)
+                self.reflections.options if self.reflections in traced else None, gathered, mirrors,
+                keeping_matte=bool(traced))
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

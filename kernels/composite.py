@@ -7,7 +7,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .geometry_math import is_finite3, max_component, over_albedo
-from .long_mean import unpack_mean
+from .long_mean import pack_mean, unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
 from .view import SKY_DEPTH, View
@@ -191,10 +191,18 @@ def compose(
     lights: Lights,
     # Out:
     color_out: wp.array[wp.vec4h],
+    matte_out: wp.array[wp.uint64],
 ):
-    """Add up what each pixel shows; 70 bytes read and 8 written a pixel, and 8 read for each image of samples."""
+    """Add up what each pixel shows, and keep in `matte_out`, if it is not empty, what looks the same from everywhere.
+
+    That is diffuse light without the surface's colour (pack_mean), exposed. 70 bytes read and 16 written a pixel, and
+    8 read for each image of samples.
+    """
     pixel = first + wp.tid()
     s = light_shares(gbuffer, lights, pixel)
+    if matte_out.shape[0] > 0:
+        matte_out[pixel] = pack_mean(wp.max(
+            over_albedo(s.diffuse_direct + s.diffuse_indirect, s.diffuse_albedo), wp.vec3(0.0, 0.0, 0.0)))
     c = rgb(s.emission) + s.diffuse_direct + s.diffuse_indirect + s.specular_direct + s.specular_indirect
     c += s.transmitted
     # Rounding of spherical harmonics may leave light slightly negative.

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernel that looks whether the frame before shows the hits of reflection rays, and takes its picture if so.
+"""The kernel that looks whether the frame before shows the hits of reflection rays, and takes its light if so.
 
-Only of what looks the same from everywhere: rough, mostly diffuse surfaces that don't shine. GI-1.0's tests of depth
-and normal (Boisse et al. 2023), and one against the plane.
+Only of rough, mostly diffuse surfaces that don't shine, and of these the diffuse light alone, which is the same from
+everywhere: a floor that shows the camera the sun's highlight shows a mirror none (with the picture itself, as
+published, a metal ball on such a floor was 4.6 times too bright there). The hit's reflectance makes radiance of it, as
+of the cache's light. GI-1.0's tests of depth and normal (Boissé et al. 2023), and one against the plane.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from .gbuffer import (
     plane_distance,
 )
 from .geometry_math import is_finite3, mean_component
+from .long_mean import unpack_mean
 from .motion import Motion, previous_point
-from .packing import from_half, rgb, unpack_normal
+from .packing import rgb, unpack_normal
 from .paths import Paths
 from .reflection_rays import FOUND_SCREEN, FOUND_WHOLE_HIT, ReflectionRays, gather
 from .types import Scene
@@ -78,7 +81,7 @@ def look_back(
     height: int,
     reuse: int,
     previous: GBuffer,
-    previous_color: wp.array[wp.vec4h],
+    previous_matte: wp.array[wp.uint64],
     # Out:
     rays_out: ReflectionRays,
     paths_out: Paths,
@@ -117,9 +120,7 @@ def look_back(
         return
     if not looks_alike(previous, pixel):
         return
-    color = rgb(from_half(previous_color[pixel])) / view.exposure
-    if not is_finite3(color):
-        return
-    gather(vertices_out, slot, wp.cw_mul(paths_out.throughput[slot], color), 0.0)
+    light = wp.cw_mul(rgb(r), unpack_mean(previous_matte[pixel]) / view.exposure)
+    gather(vertices_out, slot, wp.cw_mul(paths_out.throughput[slot], light), 0.0)
     vertices_out.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     rays_out.found[slot] = FOUND_SCREEN

@@ -80,13 +80,18 @@ class CompositePass:
 
         self.color: History[wp.array] = History(
             "composite.color", lambda: wp.zeros(count, dtype=wp.vec4h, device=device))
+        self.matte: History[wp.array] = History(
+            "composite.matte", lambda: wp.zeros(count, dtype=wp.uint64, device=device))
+        """Diffuse light without the surfaces' colours, for reflections of the frame to come"""
         self.accumulated: History[Any] = History("composite.accumulated", accumulation)
         self._inputs = {}
+        self._nothing = wp.empty(0, dtype=wp.uint64, device=device)
         self._sums = {lobe: light_passes(count, device) for lobe in self.lobes}
 
     def reset(self) -> None:
         """Forget all frames."""
         self.color.reset()
+        self.matte.reset()
         self.accumulated.reset()
         for sums in self._sums.values():
             for array in arrays_of(sums):
@@ -97,6 +102,7 @@ class CompositePass:
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
         options: ReflectionOptions | None = None, indirect: wp.array | None = None, mirrors: Mirrors | None = None,
+        keeping_matte: bool = False,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -116,6 +122,7 @@ class CompositePass:
             indirect: uint64 (long_mean.pack_mean), diffuse indirect light that stands in for `irradiance`, with what
                 leaning normals take from it.
             mirrors: What tells how long mirrors have shown what they show; None: there are none.
+            keeping_matte: Whether `matte` is wanted.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
@@ -134,7 +141,8 @@ class CompositePass:
         if indirect is not None:
             lights.indirect, lights.has_indirect = indirect, 1
         self._inputs[parity] = (gbuffer, lights)
-        graph.launch(composite.compose, count, [views, gbuffer, lights], [color])
+        matte = self.matte.current(parity) if keeping_matte else self._nothing
+        graph.launch(composite.compose, count, [views, gbuffer, lights], [color, matte])
         for lobe, sums in self._sums.items():
             graph.launch(
                 composite.accumulate_light_passes, count, [views, gbuffer, lights, int(PASS_LOBES[lobe])], [sums])

@@ -202,7 +202,7 @@ class ReflectionPass:
 
     def record_rays(
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous: GBuffer,
-        previous_color: wp.array, what: RayScene, grid: HashGrid, *, after: tuple[str, ...] = (),
+        previous_matte: wp.array, what: RayScene, grid: HashGrid, *, after: tuple[str, ...] = (),
     ) -> None:
         """Record choosing the pixels and tracing rays; comes before the cache's frame, which takes in their light.
 
@@ -212,7 +212,7 @@ class ReflectionPass:
             views: One View.
             gbuffer: Of this frame.
             previous: Of the frame before.
-            previous_color: vec4h, exposed: the composite of the frame before.
+            previous_matte: CompositePass.matte of the frame before.
             what: The scene.
             grid: The radiance cache's cells, ready for this scene.
             after: Branches of the graph that make cells before, where their order is to be fixed.
@@ -240,13 +240,13 @@ class ReflectionPass:
         reuse = self.settings.screen_reuse
         if self.lobe == int(LOBE_DIFFUSE):
             self._record_near_hits(graph, views, what, grid)
-            # The picture before is noisier than the hits' own light, and has its error.
+            # The frame before is noisier than the hits' own light, and has its error.
             reuse = False
         with graph.section(self._section("hits")):
             graph.launch(
                 reflection_screen.look_back, blocks,
                 [views, scene, what.motion, self.width, self.height, int(reuse), previous,
-                 previous_color], [rays, paths, vertices])
+                 previous_matte], [rays, paths, vertices])
         self._late = self.settings.hit_lighting and what.settled
         if self.settings.hit_lighting:
             self._record_lights(graph, views, what, grid)
