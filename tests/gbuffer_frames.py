@@ -50,6 +50,9 @@ class GBufferFrames:
         self.width, self.height = size
         self.gbuffer_pass = GBufferPass(self.device, rasterizing=rasterizing)
         self.gbuffer_pass.resize(*size)
+        self.full: tuple[int, int] | None = None
+        """Of the frame that this is a part of, from pixel `corner` on"""
+        self.corner = (0, 0)
         self.moved = False
         self.graphs: dict | None = None
         """Recorded frames by parity, scene and motion; None: record every frame anew"""
@@ -61,8 +64,8 @@ class GBufferFrames:
 
     def frame(self, camera: object = None, jitter: np.ndarray | None = None, **view: object) -> GBuffer:
         """Render the next frame and return its G-buffer."""
-        row = frame_row(camera or scenes.camera_above(), self.width, self.height, (0, 0, self.width, self.height), 0,
-                        self.scene.origin)
+        row = frame_row(camera or scenes.camera_above(), *(self.full or (self.width, self.height)),
+                        (*self.corner, self.width, self.height), 0, self.scene.origin)
         self.views.advance(row, moved=self.moved, lit=False, filter_quantiles=jitter,
                            **({"exposure": 1.0, "transparent": False} | view))
         self.moved = False

@@ -41,9 +41,10 @@ def camera(half=0.6, *, at=6.0, orthographic=False, **fields):
     return dataclasses.replace(made, window=(-wide, wide, -half, half), **fields)
 
 
-def found(delta, view, rasterizing, jitter=JITTER, **change):
-    """Return the hits of a frame's primary rays, and the layers before them."""
+def found(delta, view, rasterizing, jitter=JITTER, part=None, **change):
+    """Return the hits of a frame's primary rays, and the layers before them; `part`: (size of the whole, corner)."""
     frames = GBufferFrames(delta, SIZE, rasterizing=rasterizing)
+    frames.full, frames.corner = part or (None, (0, 0))
     for name, value in change.items():
         setattr(frames.gbuffer_pass.raster, name, value)
     frames.gbuffer_pass.resize(*SIZE)
@@ -86,6 +87,15 @@ def test_camera_among_triangles(clip):
     view = camera(at=0.0, clip_start=clip, clip_end=9.0)
     hits = compare(one(soup(300, 2, 3.0, 3.0)), view, differing=3)
     assert (hits["hit"][:, 0] >= 0).any()
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_part_of_a_frame(orthographic):
+    """Draw a border's part of a larger frame, and what lies across its sides."""
+    view = camera(3.0 if orthographic else 0.6, orthographic=orthographic)
+    part = ((2 * SIZE[0], 2 * SIZE[1]), (60, 35))
+    hits = compare(one(soup(300, 9, 0.7, 3.0)), view, differing=2, part=part)
+    assert (hits["hit"] != found(one(soup(300, 9, 0.7, 3.0)), view, False)["hit"]).any()
 
 
 def test_slivers_and_points():
