@@ -18,6 +18,7 @@ from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
 from .instance_rows import filtered_groups, instance_bounds, instance_rows, scene_origin, write_places
 from .lamps import lamp_array, lamp_power
+from .light_linking import is_linked, same_links
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
 from .opacity_maps import OpacityMaps
@@ -133,8 +134,9 @@ class DeviceScene:
                 self.store.put(key, mesh)
         if delta.world is not None:
             self.world = delta.world
-        moved = np.zeros(0, np.int64)
+        moved, relinked = np.zeros(0, np.int64), False
         if delta.instances is not None:
+            relinked = not same_links(delta.instances, self.table)
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
@@ -160,10 +162,11 @@ class DeviceScene:
         emission_moved = rebuild or self._any_emits(moved) or self._any_emits(edited)
         tell("Lights", 0.9)
         self._assemble()
-        self._update_lights(delta, emission_moved, materials_changed)
+        self._update_lights(delta, emission_moved, materials_changed, relinked)
         self.changes = SceneChanges(
             replaced=delta.full, moved=geometry_changed or delta.instances is not None,
-            lit=materials_changed or delta.lights is not None or (emission_moved and len(self.emitters.power) > 0))
+            lit=materials_changed or delta.lights is not None or relinked
+            or (emission_moved and len(self.emitters.power) > 0))
         tell("Ready", 1.0)
 
     def _follow(self, delta: SceneDelta) -> bool:
@@ -201,7 +204,9 @@ class DeviceScene:
         moved, self._moved_rows = self._moved_rows, np.zeros(0, np.int64)
         return moved
 
-    def _update_lights(self, delta: SceneDelta, emission_moved: bool, materials_changed: bool) -> None:
+    def _update_lights(
+        self, delta: SceneDelta, emission_moved: bool, materials_changed: bool, relinked: bool = False,
+    ) -> None:
         """Find all that gives light, where it may have changed."""
         with self._timed("lights"):
             if delta.lights is not None:
@@ -213,7 +218,7 @@ class DeviceScene:
             if delta.world is not None or delta.images or not self.environment_built:
                 self.world_texels = build_environment(self.scene, self.world, self.device, self._assemble_with)
                 self.environment_built = True
-            if emission_moved or materials_changed or delta.images or delta.lights is not None:
+            if emission_moved or materials_changed or delta.images or delta.lights is not None or relinked:
                 self._choose_lights()
 
     def use_opacity_maps(self, enabled: bool) -> None:
@@ -349,7 +354,8 @@ class DeviceScene:
                            + self.environment_power * np.pi * self.radius**2)
         sampled_world = self.world is not None and self.world.sampling
         self.light_struct = build_lights(
-            self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device)
+            self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device,
+            linked=is_linked(self.lights, self.table, self._emitting))
         self._assemble()
 
     def _assemble_with(self, environment: types.Environment, power: float) -> types.Scene:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..kernels import types
 from .geometry_store import MeshRange
+from .light_linking import emitted_visibility, received_bits
 from .scene import InstanceTable, Key, MaterialData
 from .structures import RAY_KINDS
 
@@ -95,7 +96,8 @@ def instance_rows(table: InstanceTable, ranges: list[MeshRange], origin: np.ndar
     offsets = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
     rows["material_offset"] = offsets[table.material_set_index]
     rows["material_count"] = lengths[table.material_set_index]
-    rows["visibility"] = table.visibility
+    rows["visibility"] = emitted_visibility(table.visibility, table.linked_to)
+    rows["receives"] = received_bits(table)
     rows["object_id"] = table.object_name_index
     rows["pass_index"] = table.pass_index
     rows["random"] = table.random_id.astype(np.float64) * (1.0 / 0xFFFFFFFF)

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ..kernels import types
+from .light_linking import emitted_visibility
 from .report import Report, ReportKind
 from .scene import LightData, LightKind
 
@@ -115,7 +116,7 @@ def drawn_lamps(
         row["kind"] = KINDS[light.kind]
         row["position"] = matrix[:3, 3] - origin
         row["direction"] = _unit(-matrix[:3, 2], (0.0, 0.0, -1.0))
-        row["visibility"] = light.visibility
+        row["visibility"] = emitted_visibility(light.visibility, light.linked_to)
         row["flags"] = 0 if light.cast_shadow else 4
         # What doesn't fit float32 overflows, and is left out below.
         with np.errstate(over="ignore"):

@@ -18,7 +18,8 @@ SUN = 1
 
 
 def build_lights(
-    lamps: np.ndarray, emitters: EmitterTable, environment_power: float, radius: float, device: str,
+    lamps: np.ndarray, emitters: EmitterTable, environment_power: float, radius: float, device: str, *,
+    linked: bool = False,
 ) -> types.Lights:
     """Return the struct that light sampling reads.
 
@@ -31,6 +32,7 @@ def build_lights(
         environment_power: The world's radiance over the sphere; 0 where it is not sampled.
         radius: Of the scene [m], to compare suns with each other.
         device: Where to put it.
+        linked: Whether any light is for some objects alone.
     """
     power = lamp_power(lamps, radius)
     local = int((lamps["kind"] != SUN).sum())
@@ -48,6 +50,7 @@ def build_lights(
     lights.triangles, lights.emitter_offset, lights.emitter_index = emitters.faces, emitters.offset, emitters.index
     lights.emitter_power = _array(emitters.power.astype(np.float32), float, device)
     lights.environment_power = environment_power
+    lights.linked = int(linked)
     lights.tree.low = _array(tree.low, wp.vec4, device)
     lights.tree.high = _array(tree.high, wp.vec4, device)
     lights.tree.entries = _array(tree.entries, int, device)

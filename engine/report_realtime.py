@@ -30,10 +30,12 @@ class SceneFacts:
     """Reflections stretched along a tangent"""
     refractive: int = 0
     """Refraction (glass, transmission)"""
+    linked_unsampled: int = 0
+    """Emission that is not sampled as light, of objects that light some objects alone"""
 
 
-def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
-    """Return the facts about all materials in a scene."""
+def scene_facts(materials: Iterable[MaterialData], linked: Iterable[MaterialData] = ()) -> SceneFacts:
+    """Return the facts about all materials in a scene; `linked`: those of objects that light some objects alone."""
     counts = {"anisotropic": 0, "refractive": 0}
     reflective = []
     for material in materials:
@@ -43,7 +45,8 @@ def scene_facts(materials: Iterable[MaterialData]) -> SceneFacts:
         lobes = [fact for fact in facts if isinstance(fact, float)]
         if lobes:
             reflective.append(max(lobes))
-    return SceneFacts(reflective=tuple(reflective), **counts)
+    unsampled = sum(material.has_emission and not material.emission_sampling for material in linked)
+    return SceneFacts(reflective=tuple(reflective), linked_unsampled=unsampled, **counts)
 
 
 def realtime_approximations(
@@ -80,6 +83,10 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "",
                    f"refracted light is followed over at most {settings.reflections.bounces} more surfaces{until}",
                    facts.refractive)
+    if facts.linked_unsampled:
+        report.add(ReportKind.APPROXIMATED, "",
+                   f"emission that is not sampled as light lights objects that it is not linked to{until}",
+                   facts.linked_unsampled)
     if aperture_radius > 0.0:
         report.add(ReportKind.APPROXIMATED, "", f"depth of field is not drawn{until}")
     return report

@@ -98,6 +98,10 @@ class InstanceTable:
     """Names of light groups"""
     light_group_index: np.ndarray | None = None
     """int32 [N], index into light_groups of what an instance emits, -1 for none; None: none at all"""
+    linked_to: np.ndarray | None = None
+    """int32 [N], number of the set of receivers that what an instance emits is for, 0: everything (light_linking.py)"""
+    receives: np.ndarray | None = None
+    """uint32 [N], bit k for the lights of set k, and bit 0; None: all lights"""
 
     def moved_from(self, other: InstanceTable) -> bool:
         """Return whether this is the other table with nothing but other transforms, by its very arrays and lists."""
@@ -209,6 +213,8 @@ class LightData:
     use_mis: bool = True
     visibility: int = int(Visibility.ALL)
     light_group: str = ""
+    linked_to: int = 0
+    """Number of the set of receivers that it is for, 0: everything (light_linking.py)"""
     program: Program | None = None
     """Not drawn in this version: node trees on lamps are reduced to a constant factor in `color`"""
 

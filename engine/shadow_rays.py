@@ -27,9 +27,9 @@ CONE = {"cone": wp.vec2}
 
 UNUSED = {
     "state": int, "seed": wp.uint32, "index": wp.uint32, "origin": wp.vec3, "direction": wp.vec3, "t": float,
-    "hit": wp.vec2i, "barycentrics": wp.vec2, "throughput": wp.vec3, "pdf": float, "kind": int, "closure": Closure,
-    "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4, "surface_emission": wp.vec3,
-    "environment": wp.vec3,
+    "hit": wp.vec2i, "barycentrics": wp.vec2, "throughput": wp.vec3, "pdf": float, "kind": int, "receiver": int,
+    "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
+    "surface_emission": wp.vec3, "environment": wp.vec3,
 }
 
 

@@ -10,6 +10,7 @@ from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point
+from .light_linking import is_linked, kinds_lit
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
@@ -98,13 +99,13 @@ def choose_cache_lights(
     s = sample_light(
         scene, point.position, cell_side(normal, reflectance[3], grid.weighed),
         sample_pair(seed, index, DIMENSION_LIGHT), sample_number(seed, index, DIMENSION_PLACE))
-    if s.kind < 0 or (s.visibility & VISIBLE_DIFFUSE) == 0:
+    if s.kind < 0 or (kinds_lit(scene, s.visibility, point.instance) & VISIBLE_DIFFUSE) == 0:
         return
     cosine = wp.dot(normal, s.wi)
     share = wp.where(cosine > 0.0, 1.0 - reflectance[3], reflectance[3])
     density = wp.abs(cosine) * share * INV_PI
     light = s.radiance * (density / s.pdf)
-    if grid.weighed == 1 and s.kind == LIGHT_TRIANGLE:
+    if grid.weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
         light = light * power_heuristic(s.pdf, density)
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, s, light, paths_out, slot)

@@ -9,6 +9,7 @@ from .cache_rays import DIMENSION_CLOSURE, Vertices, slot_seed
 from .environment_split import NO_THRESHOLD, soft_radiance
 from .geometry_math import is_finite3, mean_component, power_heuristic
 from .intersect import MISS, surface_point
+from .light_linking import is_linked
 from .lights import emitter_pdf
 from .nodes import run, world_point
 from .packing import pack_normal
@@ -71,12 +72,16 @@ def flat_start(scene: Scene, point: ShadingPoint) -> int:
 def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, weighed: bool) -> float:
     """Return how much of a hit's emission its ray brings: none of what arrives by light sampling.
 
-    `weighed`: the two share it by their densities (Veach 1997), so that neither is noisy close to an emitter.
+    `weighed`: the two share it by their densities (Veach 1997), so that neither is noisy close to an emitter. Not of
+    emitters that are for some objects alone: rays don't know what they have left.
     """
     if not is_sampled_emitter(scene, point.instance, point.triangle):
         return 1.0
     if not weighed:
         return 0.0
+    if scene.lights.linked == 1:
+        if is_linked(scene.geometry.instances[point.instance].visibility):
+            return 0.0
     pdf = emitter_pdf(
         scene, point.instance, point.triangle, paths.origin[slot], wp.vec3(0.0, 0.0, 0.0), paths.direction[slot],
         point.ray_length)

@@ -14,6 +14,7 @@ from .geometry_math import is_finite3, max_component, mean_component
 from .intersect import MISS, offset_origin
 from .lamp_hit import FAR
 from .layering import prepare_bsdf
+from .light_linking import note_receiver
 from .packing import rgb
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import sample_bsdf
@@ -91,6 +92,7 @@ def meet_guide(
         sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
         usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
         if usable and (sample.delta == 1 or sample.roughness < SHARP):
+            note_receiver(scene, point.instance, paths, path)
             go_on(point, sample, tint, paths, path)
             return
     show(wp.cw_mul(tint, albedo + bsdf.emission * exposure), bsdf.normal, paths, path)

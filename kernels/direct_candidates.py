@@ -28,6 +28,7 @@ from .direct_reservoir import (
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, has_surface, load_surface
 from .light_candidate import choose, light_classes, replay
+from .light_linking import kinds_lit_at
 from .reprojection import Reprojection, has_tap, known_taps, tap_pixel, tap_weight
 from .sampling import fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
@@ -71,8 +72,8 @@ def seed_of(view: View, options: DirectOptions, pixel: int) -> wp.uint32:
 
 @wp.func
 def draw_candidates(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, emitters: wp.array[wp.uint64], p: Receiver,
-    seed: wp.uint32, index: wp.uint32,
+    scene: Scene, split: EnvironmentSplit, options: DirectOptions, emitters: wp.array[wp.uint64], gbuffer: GBuffer,
+    pixel: int, p: Receiver, seed: wp.uint32, index: wp.uint32,
 ) -> Reservoir:
     """Draw this frame's candidates and keep one by its target over its chance.
 
@@ -98,6 +99,7 @@ def draw_candidates(
             wp.vec2(fraction(place[0] + step * STEP_X), fraction(place[1] + step * STEP_Y)))
         if choice.chance > 0.0:
             s = replay(scene, split, emitters, p.position, choice.candidate)
+            s.visibility = kinds_lit_at(scene, gbuffer, pixel, s.visibility)
             here = target(options, p, s, scene.luminance)
             weight = here / choice.chance
             if weight > 0.0:
@@ -158,7 +160,8 @@ def resample_lights(
         if has_surface(surface):
             p = load_receiver(view, gbuffer, options, surface, pixel, scene.luminance)
             r = draw_candidates(
-                scene, split, options, emitters, p, seed_of(view, options, pixel), wp.uint32(view.frame))
+                scene, split, options, emitters, gbuffer, pixel, p, seed_of(view, options, pixel),
+                wp.uint32(view.frame))
         lent_out[pixel] = r.lent
     elif options.reuse == 0:
         return
@@ -196,19 +199,22 @@ def choose_tap(
 
 @wp.func
 def join(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, p: Receiver,
-    q: Receiver, now: Reservoir, before: Reservoir, random: float,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, gbuffer: GBuffer,
+    pixel: int, p: Receiver, previous_gbuffer: GBuffer, previous_pixel: int, q: Receiver, now: Reservoir,
+    before: Reservoir, random: float,
 ) -> Reservoir:
     """Join this frame's reservoir at `p` with one of the frame before at `q`."""
-    here = target_of(scene, split, emitters, options, p, now.candidate)
+    here = target_of(scene, split, emitters, options, gbuffer, pixel, p, now.candidate)
     now_weight = float(0.0)
     if here > 0.0:
-        there = target_of(scene, split, emitters, options, q, now.candidate)
+        there = target_of(
+            scene, split, emitters, options, previous_gbuffer, previous_pixel, q, now.candidate)
         now_weight = now.count * here / (now.count * here + before.count * there) * here * now.weight
-    carried = target_of(scene, split, emitters, options, p, before.candidate)
+    carried = target_of(scene, split, emitters, options, gbuffer, pixel, p, before.candidate)
     before_weight = float(0.0)
     if carried > 0.0 and before.weight > 0.0:
-        there = target_of(scene, split, emitters, options, q, before.candidate)
+        there = target_of(
+            scene, split, emitters, options, previous_gbuffer, previous_pixel, q, before.candidate)
         before_weight = before.count * there / (now.count * carried + before.count * there) * carried * before.weight
     total = now_weight + before_weight
     r = Reservoir()
@@ -262,7 +268,7 @@ def reuse_lights(
     p = load_receiver(view, gbuffer, options, surface, pixel, scene.luminance)
     other = load_previous_receiver(view, previous_gbuffer, options, q, scene.luminance)
     r = join(
-        scene, split, emitters, options, p, other, load_reservoir(reservoirs_out, pixel), before,
-        hashed_unit(noise, wp.uint32(1)))
+        scene, split, emitters, options, gbuffer, pixel, p, previous_gbuffer, q, other,
+        load_reservoir(reservoirs_out, pixel), before, hashed_unit(noise, wp.uint32(1)))
     store_reservoir(reservoirs_out, pixel, r)
     lent_out[pixel] = r.lent

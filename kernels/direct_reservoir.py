@@ -15,6 +15,7 @@ from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_prev
 from .geometry_math import INV_PI, is_finite3, luminance, max_component, mean_component, sqr
 from .lamp_sample import LightSample
 from .light_candidate import Candidate, replay
+from .light_linking import kinds_lit_at
 from .reflection_lights import is_singular, light_part, light_side_share, sample_roughness, shown_zone
 from .reflection_types import ReflectionOptions
 from .specular_lobes import lobes_pdf, specular_lobes, surface_alpha
@@ -375,11 +376,13 @@ def target(options: DirectOptions, p: Receiver, s: LightSample, weights: wp.vec3
 
 @wp.func
 def target_of(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, p: Receiver,
-    candidate: Candidate,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], options: DirectOptions, gbuffer: GBuffer,
+    pixel: int, p: Receiver, candidate: Candidate,
 ) -> float:
-    """Return the target of a candidate at a surface."""
-    return target(options, p, replay(scene, split, emitters, p.position, candidate), scene.luminance)
+    """Return the target of a candidate at a pixel's surface."""
+    s = replay(scene, split, emitters, p.position, candidate)
+    s.visibility = kinds_lit_at(scene, gbuffer, pixel, s.visibility)
+    return target(options, p, s, scene.luminance)
 
 
 @wp.func

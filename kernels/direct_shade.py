@@ -36,6 +36,7 @@ from .gbuffer import (
 )
 from .geometry_math import max_component, normalize_or, transform_normal
 from .light_candidate import replay
+from .light_linking import kinds_lit_at, same_links
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .paths import Paths
@@ -75,7 +76,9 @@ def is_same_surface(view: View, options: DirectOptions, gbuffer: GBuffer, surfac
 
 
 @wp.func
-def choose_lender(view: View, options: DirectOptions, gbuffer: GBuffer, surface: Surface, pixel: int) -> int:
+def choose_lender(
+    scene: Scene, view: View, options: DirectOptions, gbuffer: GBuffer, surface: Surface, pixel: int,
+) -> int:
     """Return one of the four neighbours that show the same surface, any as likely as its order after a random one."""
     x = pixel % options.width
     y = pixel // options.width
@@ -88,7 +91,7 @@ def choose_lender(view: View, options: DirectOptions, gbuffer: GBuffer, surface:
         dy = wp.where((side & 1) == 1, 2 - side, 0)
         if x + dx >= 0 and x + dx < options.width and y + dy >= 0 and y + dy < options.height:
             q = pixel + dy * options.width + dx
-            if is_same_surface(view, options, gbuffer, surface, q):
+            if is_same_surface(view, options, gbuffer, surface, q) and same_links(scene, gbuffer, pixel, q):
                 return q
         k = k + 1
     return -1
@@ -150,7 +153,7 @@ def shade_direct(
     sampled = float(1.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
     if has_surface(surface):
-        q = choose_lender(view, options, gbuffer, surface, pixel)
+        q = choose_lender(scene, view, options, gbuffer, surface, pixel)
         if q < 0:
             sampled = 0.0
         else:
@@ -159,6 +162,7 @@ def shade_direct(
             if max_component(factor) > 0.0:
                 candidate = load_reservoir(reservoirs, q).candidate
                 s = replay(scene, split, emitters, surface.position, candidate)
+                s.visibility = kinds_lit_at(scene, gbuffer, pixel, s.visibility)
                 smooth = surface.geometric_normal
                 if wp.abs(wp.dot(smooth, s.wi)) < COARSE_SINE:
                     smooth = smooth_normal(scene, gbuffer, surface, pixel)

@@ -30,6 +30,7 @@ from .intersect import any_hit, offset_origin, surface_point
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
+from .light_linking import kinds_lit
 from .packed_halves import pack_halves
 from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
@@ -114,6 +115,7 @@ def aim_shadow_rays(
         p = load_lit(view, gbuffer, surface, point.normal, pixel)
         s = replay(scene, split, emitters, point.position, r.candidate)
         if s.kind >= 0:
+            s.visibility = kinds_lit(scene, s.visibility, point.instance)
             scale = r.weight * view.exposure
             light = scaled_terms(
                 light_terms(scene, split, options, p, r.candidate, s), wp.vec3(scale, scale, scale))

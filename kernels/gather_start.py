@@ -73,4 +73,4 @@ def start_gathering(
         samples_out, rays_out, paths_out, vertices_out, slot, start, direction, weight, pdf,
         wp.vec2(footprint, view.camera.spread * FOOTPRINT_SCALE))
     if shadow > 0.0:
-        send_ray(paths_out, slot, point, direction, VISIBLE_DIFFUSE, 1)
+        send_ray(scene, paths_out, slot, point, direction, VISIBLE_DIFFUSE, 1)

@@ -15,6 +15,7 @@ from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lamp_hit import FAR, lamp_hit
 from .lamp_sample import LightSample, sample_lamp
+from .light_linking import is_for, lamp_counts
 from .light_tree import choose_by_tree
 from .lights import choose_class, class_total, lamp_chance, sample_emitter
 from .packing import rgb, rgba
@@ -108,10 +109,10 @@ def add_lamps_met(
             t_max = FAR
         lamp = int(0)
         while bounce != ENDED and lamp < scene.lights.lamp_count:
-            visible = (scene.lights.lamps[lamp].visibility & paths.kind[path]) != 0
-            if visible and (scene.lights.lamps[lamp].flags & LIGHT_HITTABLE) != 0:
+            visibility = scene.lights.lamps[lamp].visibility
+            if (visibility & paths.kind[path]) != 0 and (scene.lights.lamps[lamp].flags & LIGHT_HITTABLE) != 0:
                 hit = lamp_hit(scene.lights.lamps[lamp], paths.origin[path], paths.direction[path], t_max)
-                if hit.t > 0.0:
+                if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
                     weight = float(1.0)
                     if paths.pdf[path] > 0.0:
                         chance = lamp_chance(scene, lamp, paths.origin[path], paths.side[path])
@@ -189,7 +190,9 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
             scene, tables, point.position, side,
             candidate_place(place, float(k // 3)), refill)
         s = found.sample
-        if s.kind >= 0 and (s.distance >= FAR) == (distance >= FAR):
+        # Lights for other objects may lie in the same place.
+        known = s.kind >= 0 and is_for(scene, s.visibility, point.instance)
+        if known and (s.distance >= FAR) == (distance >= FAR):
             off = s.wi - direction
             if distance < FAR:
                 off = (point.position + s.wi * s.distance - paths.shadow_origin[path]) / distance - direction

@@ -13,6 +13,7 @@ import warp as wp
 from .geometry_math import max_component, mean_component
 from .intersect import surface_point
 from .layering import prepare_bsdf
+from .light_linking import is_for
 from .light_split import LightSplit
 from .lights import class_total, sample_light_of
 from .packing import rgb, rgba
@@ -57,7 +58,8 @@ def light_visibility(scene: Scene, point: ShadingPoint, bsdf: Bsdf, paths: Paths
             candidate_place(place, float(k)), refill)
         if s.kind >= 0:
             cosine = wp.dot(s.wi, paths.shadow_direction[path])
-            if cosine > nearest:
+            # Lights for other objects may lie in the same place.
+            if cosine > nearest and is_for(scene, s.visibility, point.instance):
                 nearest = cosine
                 visibility = s.visibility
         k = k + 1

@@ -13,6 +13,7 @@ from .geometry_math import is_finite3, max_component, normalize_or, power_heuris
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
+from .light_linking import emission_counts, kinds_lit, note_receiver
 from .lights import class_total, emitter_pdf, sample_light_of
 from .paths import (
     LONG_PATH,
@@ -156,6 +157,8 @@ def record_first_hit(scene: Scene, frame: FrameData, point: ShadingPoint, bsdf: 
 @wp.func
 def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: wp.vec3, paths: Paths, path: int):
     """Add what a hit surface emits, weighed against light sampling."""
+    if not emission_counts(scene, point.instance, point.ray_depth, paths, path):
+        return
     weight = float(1.0)
     pdf = paths.pdf[path]
     if pdf > 0.0:
@@ -226,6 +229,7 @@ def sample_direct_light(
     while k < LIGHT_CANDIDATES:
         s = sample_light_of(scene, classes, point.position, side, candidate_place(place, float(k)), refill)
         if s.kind >= 0:
+            s.visibility = kinds_lit(scene, s.visibility, point.instance)
             here = wp.cw_mul(throughput, arriving(point, bsdf, s))
             value = wp.dot(here, scene.luminance) * s.brightness
             if is_finite3(here) and value > 0.0:
@@ -301,4 +305,5 @@ def shade_hit(
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
     choice = sample_number(seed, index, dimension + DIMENSION_LOBE)
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
+    note_receiver(scene, point.instance, paths, path)
     continue_path(point, bsdf, sample, paths, path)

@@ -78,6 +78,8 @@ class Paths:
     """Normal of the surface that the ray has left if no light from behind it counts there, else zero"""
     kind: wp.array[int]
     """VISIBLE_* bit of the ray"""
+    receiver: wp.array[int]
+    """Instance that the ray has left; written and read where lights are linked alone (light_linking.py)"""
     cone: wp.array[wp.vec2]
     """Width [m] at the origin, spread [rad]"""
     layer_t: wp.array[float]

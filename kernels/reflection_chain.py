@@ -14,6 +14,7 @@ from .cache_rays import Vertices
 from .environment_split import EnvironmentSplit, excess_radiance, soft_radiance
 from .gbuffer import Surface, SurfaceMaterial
 from .geometry_math import INV_PI, max_component, mean_component, to_frame
+from .light_linking import emission_counts
 from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflectance import BsdfAlbedo, bsdf_albedo, fit_lobe
@@ -114,6 +115,8 @@ def add_emission(
         share = emitter_ray_share(
             scene, first_density(reflection, paths, slot), point.instance, point.triangle, paths.origin[slot],
             paths.direction[slot], point.ray_length)
+        if not emission_counts(scene, point.instance, 1, paths, slot):
+            share = 0.0
         light = sane(wp.cw_mul(paths.throughput[slot], emission) * share)
         rays.found[slot] = FOUND_EMITTER
     gather(vertices, slot, light, point.ray_length)
@@ -229,7 +232,8 @@ def end_ray(
 
 @wp.func
 def follow(
-    point: ShadingPoint, direction: wp.vec3, weight: wp.vec3, pdf: float, kind: int, paths: Paths, slot: int,
+    scene: Scene, point: ShadingPoint, direction: wp.vec3, weight: wp.vec3, pdf: float, kind: int, paths: Paths,
+    slot: int,
 ):
     """Send a ray on from a hit; a weight of 0 ends it, black."""
     surfaces = paths.state[slot]
@@ -240,7 +244,7 @@ def follow(
         return
     paths.cone[slot] = wp.vec2(point.footprint, paths.cone[slot][1])
     paths.pdf[slot] = wp.min(paths.pdf[slot], pdf)
-    send_ray(paths, slot, point, direction, kind, surfaces + 1)
+    send_ray(scene, paths, slot, point, direction, kind, surfaces + 1)
 
 
 @wp.func
@@ -266,12 +270,13 @@ def mirror_ray(
     weight = wp.vec3(0.0, 0.0, 0.0)
     if pdf > 0.0 and wp.dot(direction, point.geometric_normal) > 0.0:
         weight = lobes_value(m, lobes, direction) / (pdf * chance)
-    follow(point, direction, weight, pdf, VISIBLE_GLOSSY, paths, slot)
+    follow(scene, point, direction, weight, pdf, VISIBLE_GLOSSY, paths, slot)
 
 
 @wp.func
 def scattered_ray(
-    point: ShadingPoint, albedo: BsdfAlbedo, before: wp.vec3, normal: wp.vec3, chance: float, paths: Paths, slot: int,
+    scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, before: wp.vec3, normal: wp.vec3, chance: float,
+    paths: Paths, slot: int,
 ):
     """Send a ray on to either side of a translucent surface, which reflects `before` of the light in front of it.
 
@@ -292,7 +297,7 @@ def scattered_ray(
     weight = wp.vec3(0.0, 0.0, 0.0)
     if wp.dot(direction, point.geometric_normal) * side > 0.0:
         weight = lobe / wp.max(chance * share, 1.0e-6)
-    follow(point, direction, weight, local[2] * INV_PI, VISIBLE_DIFFUSE, paths, slot)
+    follow(scene, point, direction, weight, local[2] * INV_PI, VISIBLE_DIFFUSE, paths, slot)
 
 
 @wp.func
@@ -326,10 +331,10 @@ def meet_surface(
             s = sample_inside(bsdf, albedo.transmitted, point.wo, place, choice[0], surfaces)
         else:
             s = sample_transmission(bsdf, point.wo, place)
-        follow(point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
+        follow(scene, point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
     elif branch.kind == BRANCH_SCATTER:
         before = sane(albedo.diffuse + albedo.specular - lobe.specular)
-        scattered_ray(point, albedo, before, bsdf.normal, branch.chance, paths, slot)
+        scattered_ray(scene, point, albedo, before, bsdf.normal, branch.chance, paths, slot)
     else:
         if inside:
             albedo = as_cached(bsdf, albedo, point.wo)

@@ -17,6 +17,7 @@ from .geometry_math import INV_PI, is_finite3, max_component, mean_component, po
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point, triangle_material
 from .lamp_sample import LightSample
+from .light_linking import is_linked, kinds_lit
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
@@ -97,12 +98,12 @@ def choose_reflection_lights(
         choice = wp.min((float(k) + u[0]) / float(candidates), BELOW_ONE)
         s = sample_light(
             scene, point.position, side, wp.vec2(choice, u[1]), sample_number(seed, index, dimension + 1))
-        if s.kind >= 0 and (s.visibility & VISIBLE_DIFFUSE) != 0:
+        if s.kind >= 0 and (kinds_lit(scene, s.visibility, point.instance) & VISIBLE_DIFFUSE) != 0:
             value = wp.float32(1.0)
             if candidates > 1:
                 value = mean_component(wp.cw_mul(s.radiance, emitted(scene, world, s)))
             density = density_of(normal, reflectance[3], s.wi)
-            if weighed == 1 and s.kind == LIGHT_TRIANGLE:
+            if weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
                 density = density * power_heuristic(s.pdf, density)
             weight = value * density / s.pdf
             if weight > 0.0 and wp.isfinite(weight):

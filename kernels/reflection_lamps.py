@@ -10,6 +10,7 @@ from .cache_rays import Vertices
 from .geometry_math import max_component
 from .intersect import MISS
 from .lamp_hit import FAR
+from .light_linking import receives_at
 from .paths import ENDED, Paths
 from .reflection_lights import lamps_along
 from .reflection_rays import first_density, gather
@@ -30,7 +31,8 @@ def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, s
     if paths.hit[slot][0] == MISS:
         t_max = FAR
     light = lamps_along(
-        scene.lights, paths.kind[slot], density, paths.origin[slot], paths.direction[slot], t_max)
+        scene.lights, paths.kind[slot], receives_at(scene, 1, paths, slot), density, paths.origin[slot],
+        paths.direction[slot], t_max)
     if max_component(light) > 0.0:
         gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), 0.0)
 

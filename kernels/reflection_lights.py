@@ -26,6 +26,7 @@ from .intersect import world_vertex
 from .lamp_hit import lamp_hit
 from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, CANDIDATE_LAMP, Candidate, candidate_index, candidate_kind
+from .light_linking import is_lit
 from .light_tree import chance_by_tree
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, fading, ray_share, sampled_share
 from .specular_lobes import surface_alpha
@@ -205,13 +206,14 @@ def meets_node(tree: LightTree, node: int, origin: wp.vec3, inverse: wp.vec3, t_
 
 @wp.func
 def lamp_light(
-    lights: Lights, lamp: int, visibility: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
+    lights: Lights, lamp: int, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3,
+    t_max: float,
 ) -> wp.vec3:
     """Return the radiance of a lamp times the ray's share, if the ray meets it before t_max."""
     light = lights.lamps[lamp]
     if (light.flags & LIGHT_HITTABLE) != 0 and (light.visibility & visibility) != 0:
         hit = lamp_hit(light, origin, direction, t_max)
-        if hit.t > 0.0:
+        if hit.t > 0.0 and is_lit(light.visibility, receives):
             share = float(1.0)
             if density > 0.0:
                 share = ray_part(density, lamp_density(lights, lamp, hit.pdf, origin))
@@ -229,7 +231,7 @@ def safe_inverse(x: float) -> float:
 
 @wp.func
 def tree_light(
-    lights: Lights, visibility: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
+    lights: Lights, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec3:
     """Return the radiance of all local lamps that a ray meets, found through the tree (a heap, so without a stack)."""
     total = wp.vec3(0.0, 0.0, 0.0)
@@ -244,7 +246,8 @@ def tree_light(
             if met:
                 entry = lights.tree.entries[node - leaves]
                 if entry >= 0 and entry < lights.local_lamp_count:
-                    total = total + lamp_light(lights, entry, visibility, density, origin, direction, t_max)
+                    total = total + lamp_light(
+                        lights, entry, visibility, receives, density, origin, direction, t_max)
             # The next subtree: up while this is a second child, then to the sibling.
             while node > 1 and (node & 1) == 1:
                 node = node >> 1
@@ -254,13 +257,14 @@ def tree_light(
 
 @wp.func
 def lamps_along(
-    lights: Lights, visibility: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
+    lights: Lights, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec3:
     """Return the radiance of all lamps that a ray meets before its hit, each times the ray's share; they hide nothing.
 
     Args:
         lights: All lights.
         visibility: The kind of ray: VISIBLE_CAMERA, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION.
+        receives: Instance.receives of what the ray has left; -1: all lamps count.
         density: lobes_pdf of the primary surface in this direction; 0 where the ray counts in full.
         origin: Of the ray; where `density` counts, of the primary surface.
         direction: Unit length.
@@ -269,10 +273,10 @@ def lamps_along(
     total = wp.vec3(0.0, 0.0, 0.0)
     start = int(0)
     if lights.local_lamp_count > LAMPS_IN_A_ROW:
-        total = tree_light(lights, visibility, density, origin, direction, t_max)
+        total = tree_light(lights, visibility, receives, density, origin, direction, t_max)
         start = lights.local_lamp_count
     for i in range(start, lights.lamp_count):
-        total = total + lamp_light(lights, i, visibility, density, origin, direction, t_max)
+        total = total + lamp_light(lights, i, visibility, receives, density, origin, direction, t_max)
     return total
 
 

@@ -23,11 +23,12 @@ from .cache_rays import IDLE, Vertices
 from .hash_grid import NO_CELL
 from .intersect import offset_origin
 from .lamp_hit import FAR
+from .light_linking import note_receiver
 from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, place_pixel
 from .sampling import pixel_seed_of
-from .types import VISIBLE_DIFFUSE, ShadingPoint
+from .types import VISIBLE_DIFFUSE, Scene, ShadingPoint
 from .view import View
 
 # Dimensions of reflections' random numbers; each further surface takes as many as there are here.
@@ -181,8 +182,11 @@ def start_ray(
 
 
 @wp.func
-def send_ray(paths: Paths, slot: int, point: ShadingPoint, direction: wp.vec3, kind: int, surfaces: int):
+def send_ray(
+    scene: Scene, paths: Paths, slot: int, point: ShadingPoint, direction: wp.vec3, kind: int, surfaces: int,
+):
     """Send a ray on from a surface, the `surfaces`-th on its way."""
+    note_receiver(scene, point.instance, paths, slot)
     paths.state[slot] = surfaces
     paths.origin[slot] = offset_origin(point.position, point.geometric_normal, point.error, direction)
     paths.direction[slot] = direction

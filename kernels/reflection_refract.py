@@ -136,4 +136,4 @@ def start_refractions(
         # What lies behind is blurred whatever its distance: filters need not keep apart what is close.
         vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
     if max_component(light.weight) > 0.0:
-        send_ray(paths_out, slot, point, light.wi, kind, 1)
+        send_ray(scene, paths_out, slot, point, light.wi, kind, 1)

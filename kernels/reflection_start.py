@@ -93,4 +93,4 @@ def start_reflections(
     start_ray(samples_out, rays_out, paths_out, vertices_out, slot, start, direction, weight, drawn, cone)
     if wp.dot(direction, surface.geometric_normal) > 0.0 and max_component(weight) > 0.0:
         point = surface_point(scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), -wo)
-        send_ray(paths_out, slot, point, direction, VISIBLE_GLOSSY, 1)
+        send_ray(scene, paths_out, slot, point, direction, VISIBLE_GLOSSY, 1)

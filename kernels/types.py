@@ -23,6 +23,8 @@ VISIBLE_GLOSSY = wp.constant(4)
 VISIBLE_TRANSMISSION = wp.constant(8)
 VISIBLE_SHADOW = wp.constant(16)
 HOLDOUT = wp.constant(64)
+LINK_SHIFT = wp.constant(8)
+"""The bits from here on number the set of objects that a light is for; 0: everything. See light_linking.py"""
 
 # Kinds of closure that a material program can end in.
 CLOSURE_NONE = wp.constant(0)
@@ -95,6 +97,8 @@ class Instance:
     color: wp.vec4
     generated_location: wp.vec3
     generated_size: wp.vec3
+    receives: int
+    """Bit 0, and one for each set of receivers that it is in"""
     padding: wp.uint64
     """Rows of a multiple of 16 bytes, see wide_loads.py"""
 
@@ -237,6 +241,7 @@ class Light:
     flags: int
     """LIGHT_* bits"""
     visibility: int
+    """VISIBLE_* bits, and the set of receivers from LINK_SHIFT on; so has that of emissive instances"""
 
 
 @wp.struct
@@ -300,6 +305,8 @@ class Lights:
     """-1: the world is not sampled"""
     weight: wp.array[float]
     """Probability of each class, sums to 1; lights.class_weight leaves out suns that set"""
+    linked: int
+    """1: some lights are for some objects alone"""
 
 
 @wp.struct

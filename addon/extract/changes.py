@@ -154,8 +154,10 @@ def same_fields(value: object, other: object) -> bool:
 
 
 def _same(value: object, other: object) -> bool:
-    if isinstance(value, np.ndarray):
-        return isinstance(other, np.ndarray) and value.shape == other.shape and bool((value == other).all())
+    if isinstance(value, np.ndarray) and isinstance(other, np.ndarray):
+        return value.shape == other.shape and bool((value == other).all())
+    if isinstance(value, np.ndarray) or isinstance(other, np.ndarray):
+        return False
     if isinstance(value, LightData):
         return isinstance(other, LightData) and same_fields(value, other)
     return value == other

@@ -19,6 +19,7 @@ import numpy as np
 from ...engine.report import Report, ReportKind
 from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
+from .linking import Linking, links_of
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
            "look_of", "object_random_id", "placeable", "read_transforms"]
@@ -74,6 +75,8 @@ class Source:
     asset: str
     """Name of the uppermost parent, its own without one"""
     light_group: str = ""
+    receivers: int | None = None
+    """Set of objects that it lights, as Linking.read names it; None: everything"""
 
     @property
     def is_light(self) -> bool:
@@ -109,6 +112,7 @@ class Gathered:
     """float64 [N, 4, 4]"""
     persistent_ids: np.ndarray = field(default_factory=lambda: np.empty((0, 8), np.int32))
     """int32 [N, 8]"""
+    linking: Linking = field(default_factory=Linking)
 
     @property
     def source_of(self) -> np.ndarray:
@@ -142,6 +146,7 @@ def gather_instances(depsgraph: bpy.types.Depsgraph, *, space: bpy.types.SpaceVi
         random_ids.append(instance.random_id)
         if index % _CANCEL_INTERVAL == 0 and cancelled is not None and cancelled():
             raise ExtractionCancelled
+    walk.gathered.linking.finish(report)
     _read_numbers(walk.gathered, depsgraph, np.array(found, np.int64), np.array(random_ids, np.int64))
     return walk.gathered
 
@@ -187,6 +192,7 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.n
         asset_names=[asset for _, asset in names],
         light_groups=groups,
         light_group_index=group_index[by_source],
+        **gathered.linking.columns(sources, placements, rows),
     )
 
 
@@ -234,7 +240,6 @@ class _Walk:
         visibility = self._visibility(item, parent, owner.name)
         if not visibility & _ALL_RAYS:
             return -1
-        self._report_linking(owner)
         source = self._source(owner, item)
         parent_uid = parent.original.session_uid if instance.is_instance else None
         self.gathered.placements.append(Placement(source, parent_uid, visibility))
@@ -256,12 +261,6 @@ class _Walk:
             if system.settings.type == 'HAIR' and system.settings.render_type == 'PATH':
                 self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'",
                                 "particle hair is not drawn in this version")
-
-    def _report_linking(self, owner: bpy.types.Object) -> None:
-        linking = owner.light_linking
-        if linking is not None and (linking.receiver_collection or linking.blocker_collection):
-            self.report.add(ReportKind.APPROXIMATED, f"object '{owner.name}'",
-                            "light and shadow linking are ignored in this version: it lights and shades everything")
 
     def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object, name: str) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""
@@ -288,8 +287,8 @@ class _Walk:
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
             color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
-            asset=_uppermost(owner).name,
-            light_group=owner.lightgroup))
+            asset=_uppermost(owner).name, light_group=owner.lightgroup,
+            receivers=self.gathered.linking.read(owner, self.report)))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
 
@@ -315,7 +314,7 @@ def look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> tuple:
         item.name, _uppermost(item).name, item.type, 0 if item.data is None else item.data.as_pointer(),
         item.hide_viewport, item.instance_type, item.show_instancer_for_viewport, len(item.particle_systems),
         _ray_visibility(item), item.holdout_get(view_layer=view_layer), item.indirect_only_get(view_layer=view_layer),
-        item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup,
+        item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup, links_of(item),
         tuple(0 if slot.material is None else slot.material.original.session_uid for slot in item.material_slots))
 
 

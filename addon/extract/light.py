@@ -21,7 +21,7 @@ _ENERGY_LIMIT = 1e30
 
 
 def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int, factor: tuple[float, float, float],
-                  owner: str, report: Report, light_group: str = "") -> LightData | None:
+                  owner: str, report: Report, light_group: str = "", linked_to: int = 0) -> LightData | None:
     """Copy one lamp instance.
 
     Args:
@@ -32,6 +32,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         owner: Name for messages, such as `light 'Key'`.
         report: Takes what is not drawn.
         light_group: Of the lamp's object.
+        linked_to: Number of the set of objects that it lights.
 
     Returns:
         None where the lamp can't light anything (a portal, a broken transform or colour).
@@ -57,6 +58,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         "use_mis": bool(getattr(settings, "use_multiple_importance_sampling", True)),
         "visibility": visibility,
         "light_group": light_group,
+        "linked_to": linked_to,
     }
     return LightData(**common, **_shape(light))
 

@@ -111,6 +111,15 @@ class SceneExtractor:
         """Return all materials of the scene as of the last extraction, changed then or not."""
         return [data for data, _ in self._materials.values()]
 
+    def linked_materials(self) -> list[MaterialData]:
+        """Return the materials, as of the last extraction, of objects that light some objects alone."""
+        table = self._table
+        if table is None or table.linked_to is None:
+            return []
+        sets = np.unique(table.material_set_index[table.linked_to != 0]).tolist()
+        keys = dict.fromkeys(key for index in sets for key in table.material_sets[index])
+        return [self._materials[key][0] for key in keys if key in self._materials]
+
     def mesh_keys(self) -> dict[tuple[int, int], int]:
         """Return the meshes' keys as of the last extraction by MeshKeys' slots."""
         return self._mesh_keys.by_slot
@@ -252,7 +261,7 @@ class SceneExtractor:
             lamps[index] = extract_light(
                 source.data, gathered.transforms[index].copy(), placement.visibility,
                 self._light_factor(source.data, changes), f"light '{source.name}'", self._walk_report,
-                source.light_group)
+                source.light_group, gathered.linking.number(source.receivers))
         self._object_lights = [light for light in lamps.values() if light is not None]
         return lamps
 

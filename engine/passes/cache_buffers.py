@@ -39,7 +39,7 @@ LAYER_ARRAYS = {
 """For scenes with triangles that need a test per hit"""
 UNUSED_ARRAYS = {
     "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
-    "surface_emission": wp.vec3, "environment": wp.vec3,
+    "surface_emission": wp.vec3, "environment": wp.vec3, "receiver": int,
 }
 """Of the path tracer's states"""
 

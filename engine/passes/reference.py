@@ -48,7 +48,7 @@ CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
-PATH_BYTES = 504
+PATH_BYTES = 508
 """Of one path's states and places in lists, its closure the largest of them"""
 
 MEMORY_SHARE = 0.25

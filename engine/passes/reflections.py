@@ -73,7 +73,8 @@ STRIDES = {ReflectionResolution.FULL: 1, ReflectionResolution.HALF: 2, Reflectio
 
 SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
 
-STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2}
+STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2,
+                "receiver": int}
 """What rays over mirrors need in every scene; the rest of LAYER_ARRAYS is for scenes with layers alone"""
 
 LOBES = {

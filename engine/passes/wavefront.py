@@ -56,7 +56,7 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
     for name, dtype in (
         ("state", int), ("seed", wp.uint32), ("index", wp.uint32), ("origin", wp.vec3), ("direction", wp.vec3),
         ("t", float), ("hit", wp.vec2i), ("barycentrics", wp.vec2), ("throughput", wp.vec3), ("radiance", wp.vec4),
-        ("pdf", float), ("side", wp.vec3), ("kind", int), ("overruns", int), ("cone", wp.vec2),
+        ("pdf", float), ("side", wp.vec3), ("kind", int), ("receiver", int), ("overruns", int), ("cone", wp.vec2),
         ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3), ("shadow_distance", float),
         ("shadow_light", wp.vec3), ("shadow_pending", int), ("shadow_emitter", wp.vec2i),
         ("shadow_barycentrics", wp.vec2), ("layer_t", float), ("layer", wp.vec2i), ("layer_barycentrics", wp.vec2),

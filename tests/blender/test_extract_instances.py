@@ -98,7 +98,7 @@ hidden = link("Hidden", shared)
 for name in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
     setattr(hidden, "visible_" + name, False)
 hole = link("Hole", shared); hole.is_holdout = True
-group = bpy.data.collections.new("Receivers"); hole.light_linking.receiver_collection = group
+group = bpy.data.collections.new("Blockers"); hole.light_linking.blocker_collection = group
 catcher = link("Catcher", shared); catcher.is_shadow_catcher = True
 cut = bpy.data.collections.new("Cut"); bpy.context.scene.collection.children.link(cut); link("In Cut", shared, cut)
 far = bpy.data.collections.new("Far"); bpy.context.scene.collection.children.link(far); link("In Far", shared, far)
@@ -137,7 +137,7 @@ finish(flags=flags, instanced=int(table.visibility[row("Plain", True)]), names=n
     assert result["color"] == [0.25, 0.5, 0.75, 1.0] and result["index"] == 9
     # As Cycles 5.2.3 renders Object Info's Random for objects of these names.
     assert result["hashes"] == pytest.approx([0.31314194, 0.57020688], abs=1e-6) and result["own"]
-    assert "object 'Hole': light and shadow linking are ignored" in result["messages"]
+    assert result["messages"].count("object 'Hole': shadow linking is not drawn") == 1
     assert "shadow catchers are not drawn" in result["messages"]
     assert result["override"] == [1, 2]
 

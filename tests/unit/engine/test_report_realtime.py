@@ -19,7 +19,7 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 
-EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2)
+EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, linked_unsampled=5)
 
 
 def material(kind: str, **arguments) -> MaterialData:
@@ -71,15 +71,23 @@ def test_facts_count_materials() -> None:
         reflective=(0.25, 0.5))
 
 
+def test_emission_that_frames_cannot_link() -> None:
+    """Count, of objects that light some objects alone, what shines without being sampled as light."""
+    shining = {sampled: dataclasses.replace(material("DIFFUSE"), has_emission=True, emission_sampling=sampled)
+               for sampled in (True, False)}
+    facts = scene_facts(shining.values(), [*shining.values(), material("DIFFUSE")])
+    assert facts == SceneFacts(linked_unsampled=1) and scene_facts(shining.values()) == SceneFacts()
+
+
 def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4]
+    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5]
     text = " ".join(entry.message for entry in entries)
-    for word in ("reflections", "anisotropic", "refracted", "depth of field"):
+    for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field"):
         assert word in text, word
-    assert text.count("until the picture has rested for 12 frames") == 4
+    assert text.count("until the picture has rested for 12 frames") == 5
 
 
 @pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
@@ -112,4 +120,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 4 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 5 and all(words in entry.message for entry in entries), entries
