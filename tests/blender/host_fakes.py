@@ -125,6 +125,9 @@ class FakeExtractor:
     def materials(self):
         return []
 
+    def linked_materials(self):
+        return []
+
     def refresh(self):
         self.first = True
 
