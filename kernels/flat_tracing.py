@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import finish_cache_shadow
-from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
+from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_hit, store_primary_layer
 from .intersect import MISS, Hit, Layer, any_static, closest_static, static_layer, static_shadow_layer
 from .paths import ENDED, Options, Paths, load_hit, store_hit, take_layer
 from .pixel_order import pixel_in_blocks
@@ -71,10 +71,7 @@ def trace_flat_primary(
     if pixel < 0:
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
-    hits_out.t[pixel] = hit.t
-    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    store_primary_hit(hits_out, pixel, closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max))
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -94,9 +91,7 @@ def trace_flat_layered_primary(
         return
     ray = primary_ray(views[0], pixel % width, pixel // width)
     hit = closest_flat(scene.geometry, ray.origin, ray.direction, ray.t_max)
-    hits_out.t[pixel] = hit.t
-    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    store_primary_hit(hits_out, pixel, hit)
     store_primary_layer(hits_out, pixel, closest_flat_layer(scene.geometry, ray.origin, ray.direction, hit.t))
 
 

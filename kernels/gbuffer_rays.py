@@ -11,7 +11,7 @@ import warp as wp
 from .camera import CameraRay, camera_ray
 from .gbuffer import SURFACE_EMITS, SURFACE_VEILED, GBuffer
 from .geometry_math import is_finite3
-from .intersect import MISS, Layer, closest_hit, closest_layer
+from .intersect import MISS, Hit, Layer, closest_hit, closest_layer
 from .lamp_hit import FAR
 from .packing import from_half, rgba, to_half
 from .reflection_lights import lamps_along
@@ -56,14 +56,20 @@ def primary_ray(view: View, x: int, y: int) -> CameraRay:
 
 
 @wp.func
+def store_primary_hit(hits: PrimaryHits, pixel: int, hit: Hit):
+    """Store what a pixel shows."""
+    hits.t[pixel] = hit.t
+    hits.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
+    hits.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+
+
+@wp.func
 def store_primary_layer(hits: PrimaryHits, pixel: int, layer: Layer):
     """Store the first triangle that needs a test; one that is known to be solid is what the pixel shows."""
     ids = wp.vec2i(layer.hit.instance, layer.hit.triangle)
     weights = wp.vec2(layer.hit.u, layer.hit.v)
     if layer.solid == 1:
-        hits.t[pixel] = layer.hit.t
-        hits.hit[pixel] = ids
-        hits.barycentrics[pixel] = weights
+        store_primary_hit(hits, pixel, layer.hit)
         ids = wp.vec2i(MISS, 0)
     hits.layer_t[pixel] = layer.hit.t
     hits.layer[pixel] = ids
@@ -111,10 +117,7 @@ def trace_primary(
     """Find what each pixel shows: the closest opaque hit."""
     pixel = first + wp.tid()
     ray = primary_ray(views[0], pixel % width, pixel // width)
-    hit = closest_hit(scene.geometry, ray.origin, ray.direction, ray.t_max)
-    hits_out.t[pixel] = hit.t
-    hits_out.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits_out.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
+    store_primary_hit(hits_out, pixel, closest_hit(scene.geometry, ray.origin, ray.direction, ray.t_max))
 
 
 @wp.kernel

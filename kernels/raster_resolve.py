@@ -11,7 +11,7 @@ import warp as wp
 
 from .camera import CameraRay
 from .flat_tracing import closest_flat_layer, no_hit
-from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_layer
+from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_hit, store_primary_layer
 from .geometry_math import transform_point
 from .intersect import MISS, Hit, Layer, closer_layer, closest_instanced, static_layer
 from .pixel_order import pixel_in_blocks
@@ -65,14 +65,6 @@ def seen_hit(geometry: Geometry, frame: FrameData, seen: Visibility, pixel: int,
     return hit
 
 
-@wp.func
-def store_hit(hits: PrimaryHits, pixel: int, hit: Hit):
-    """Store what a pixel shows."""
-    hits.t[pixel] = hit.t
-    hits.hit[pixel] = wp.vec2i(hit.instance, hit.triangle)
-    hits.barycentrics[pixel] = wp.vec2(hit.u, hit.v)
-
-
 @wp.kernel(cuda_max_registers=56)
 def resolve_hits(
     # In:
@@ -92,7 +84,7 @@ def resolve_hits(
         return
     view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
-    store_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, seen, pixel, ray))
+    store_primary_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, seen, pixel, ray))
     if filtered == 1:
         hits_out.layer[pixel] = wp.vec2i(MISS, 0)
         hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
@@ -117,7 +109,7 @@ def resolve_instances(
     hit = no_hit(hits_out.t[pixel])
     hit = closest_instanced(scene.geometry, 0, ray.origin, ray.direction, hit)
     if hit.instance != MISS:
-        store_hit(hits_out, pixel, hit)
+        store_primary_hit(hits_out, pixel, hit)
 
 
 @wp.kernel
