@@ -39,6 +39,9 @@ STREAM_SIDE = wp.constant(wp.uint32(0x53494445))
 # Vertices.emission[3] of slots without a ray.
 IDLE = wp.constant(-1.0)
 
+# Of HashGrid.linked: any cell will do.
+NO_MARK = wp.constant(0)
+
 # Paths.radiance[3] of hits that look for no light in this frame; else 1 with a shadow ray and 0 without.
 UNWATCHED = wp.constant(-1.0)
 
@@ -126,13 +129,16 @@ def load_probe_rays(
 
 
 @wp.func
-def bounce_origin(grid: HashGrid, vertices: Vertices, bounce: int, bounces: int, count: int, u: float) -> int:
-    """Return the slot of the probe ray from whose hit a bounce ray starts, or -1.
+def bounce_origin(
+    grid: HashGrid, vertices: Vertices, begin: int, bounce: int, bounces: int, count: int, u: float, mark: int,
+) -> int:
+    """Return the slot of the ray from whose hit a bounce ray starts, or -1: one of `count` from `begin` on.
 
-    Of the slots that share this bounce ray the one whose cell knows least of indirect light; its value has no say.
+    Of the slots that share this bounce ray the one whose cell knows least of indirect light; its value has no say. Not
+    one whose cell has the `mark`.
     """
-    low = int(wp.int64(bounce) * wp.int64(count) / wp.int64(bounces))
-    high = int(wp.int64(bounce + 1) * wp.int64(count) / wp.int64(bounces))
+    low = begin + int(wp.int64(bounce) * wp.int64(count) / wp.int64(bounces))
+    high = begin + int(wp.int64(bounce + 1) * wp.int64(count) / wp.int64(bounces))
     chosen = int(-1)
     least = float(1.0e30)
     shift = int(u * float(high - low))
@@ -142,11 +148,43 @@ def bounce_origin(grid: HashGrid, vertices: Vertices, bounce: int, bounces: int,
         cell = vertices.cell[slot]
         if cell != NO_CELL:
             known = grid.indirect[cell][3]
-            if known < least:
+            if known < least and (mark == NO_MARK or grid.linked[cell] != mark):
                 least = known
                 chosen = slot
         i = i + 1
     return chosen
+
+
+@wp.func
+def send_bounce(
+    view: View, grid: HashGrid, paths: Paths, vertices: Vertices, bounce: int, slot: int, origin: int, filtered: int,
+):
+    """Send a bounce ray on from the hit of slot `origin`, whose cell it lights."""
+    seed = slot_seed(slot)
+    index = wp.uint32(view.frame)
+    vertices.source[bounce] = vertices.cell[origin]
+    p = vertices.position[origin]
+    position = wp.vec3(p[0], p[1], p[2])
+    side = unpack_normal(vertices.geometric_normal[origin])
+    normal = unpack_normal(vertices.normal[origin])
+    vertices.coarse[bounce] = coarse_key(
+        grid, view, position, side, paths.direction[origin], cell_seed(slot, view.frame))
+    share = 1.0 - vertices.reflectance[origin][3]
+    if hashed_unit(hash_combine(seed, STREAM_SIDE), index) >= share:
+        side = -side
+        normal = -normal
+        share = 1.0 - share
+    direction = wp.normalize(to_frame(normal, sample_cosine(sample_pair(seed, index, DIMENSION_BOUNCE))))
+    if not wp.dot(direction, side) > 0.0:
+        # Below the triangle: absorbed, as the path tracer does. The sample counts as black.
+        return
+    paths.state[slot] = 1
+    paths.origin[slot] = offset_origin(position, side, p[3], direction)
+    paths.direction[slot] = direction
+    paths.t[slot] = FAR
+    paths.pdf[slot] = wp.max(wp.dot(normal, direction), 0.0) * share * INV_PI
+    if filtered == 1:
+        start_layers(paths, slot, view.frame)
 
 
 # Frames since the start or an edit of light in which every hit may send a ray on: a bounce takes a frame, and the more
@@ -193,7 +231,7 @@ def start_bounces(
         origin = slot
     if origin < 0 and bounce < active:
         shift = hashed_unit(hash_combine(seed, STREAM_SHIFT), index)
-        origin = bounce_origin(grid, vertices_out, bounce, active, count, shift)
+        origin = bounce_origin(grid, vertices_out, 0, bounce, active, count, shift, NO_MARK)
     if bounce >= active:
         origin = -1
     paths_out.state[slot] = ENDED
@@ -201,29 +239,58 @@ def start_bounces(
     vertices_out.source[bounce] = NO_CELL
     if origin < 0:
         return
-    vertices_out.source[bounce] = vertices_out.cell[origin]
-    p = vertices_out.position[origin]
-    position = wp.vec3(p[0], p[1], p[2])
-    side = unpack_normal(vertices_out.geometric_normal[origin])
-    normal = unpack_normal(vertices_out.normal[origin])
-    vertices_out.coarse[bounce] = coarse_key(
-        grid, view, position, side, paths_out.direction[origin], cell_seed(slot, view.frame))
-    share = 1.0 - vertices_out.reflectance[origin][3]
-    if hashed_unit(hash_combine(seed, STREAM_SIDE), index) >= share:
-        side = -side
-        normal = -normal
-        share = 1.0 - share
-    direction = wp.normalize(to_frame(normal, sample_cosine(sample_pair(seed, index, DIMENSION_BOUNCE))))
-    if not wp.dot(direction, side) > 0.0:
-        # Below the triangle: absorbed, as the path tracer does. The sample counts as black.
+    send_bounce(view, grid, paths_out, vertices_out, bounce, slot, origin, filtered)
+
+
+@wp.kernel
+def mark_sources(
+    # In:
+    views: wp.array[View],
+    vertices: Vertices,
+    begin: int,
+    # Out:
+    grid_out: HashGrid,
+):
+    """Mark the cells from which bounce rays start, from `begin` on; all that mark a cell write the same."""
+    source = vertices.source[begin + wp.tid()]
+    if source != NO_CELL:
+        grid_out.linked[source] = views[0].frame + 1
+
+
+@wp.kernel
+def continue_bounces(
+    first: int,
+    # In:
+    views: wp.array[View],
+    grid: HashGrid,
+    count: int,
+    begin: int,
+    width: int,
+    further: int,
+    filtered: int,
+    # Out:
+    paths_out: Paths,
+    vertices_out: Vertices,
+):
+    """Send `further` rays on from where this frame's bounce rays, `width` from `begin` on, have ended.
+
+    They start in cells from which none has started so far: those have no light of their own in this frame's sweeps.
+    What stands in for it is less than they have, since cells that rays seldom meet lie closer to windows than those
+    in view, and each bounce would lose by it.
+    """
+    i = first + wp.tid()
+    bounce = begin + width + i
+    slot = count + bounce
+    view = views[0]
+    paths_out.state[slot] = ENDED
+    paths_out.t[slot] = 0.0
+    vertices_out.source[bounce] = NO_CELL
+    if settling_frames(view) >= SWEEP_FRAMES:
         return
-    paths_out.state[slot] = 1
-    paths_out.origin[slot] = offset_origin(position, side, p[3], direction)
-    paths_out.direction[slot] = direction
-    paths_out.t[slot] = FAR
-    paths_out.pdf[slot] = wp.max(wp.dot(normal, direction), 0.0) * share * INV_PI
-    if filtered == 1:
-        start_layers(paths_out, slot, view.frame)
+    shift = hashed_unit(hash_combine(slot_seed(slot), STREAM_SHIFT), wp.uint32(view.frame))
+    origin = bounce_origin(grid, vertices_out, count + begin, i, further, width, shift, view.frame + 1)
+    if origin >= 0:
+        send_bounce(view, grid, paths_out, vertices_out, bounce, slot, origin, filtered)
 
 
 @wp.kernel

@@ -66,6 +66,8 @@ class HashGrid:
     """The same in the midst of a frame's sweeps, while light spreads (cache_spread.py)"""
     touched: wp.array[int]
     """Frame in which a ray last met the cell"""
+    linked: wp.array[int]
+    """While light spreads: one more than the frame in which a bounce ray last started from the cell"""
     sums: wp.array[wp.int64]
     """This frame's samples, 6 a slot (direct, indirect), in units of 1 / FIXED_ONE"""
     counts: wp.array[int]

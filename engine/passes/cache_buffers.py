@@ -16,16 +16,20 @@ from ...kernels import (
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
-from ...kernels.hash_grid import HashGrid
+from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, Scene
 from ..device import launch
 from ..frame_graph import FrameGraph
+from ..settings import CacheKey, CacheSettings
 from ..structures import decides_layers, is_flat
 from ..work_list import WorkList
 from .layer_rays import record_shadow_layers
 
-__all__ = ["count_rays", "record_insertion", "record_shadow_rays", "record_sums", "threads_race"]
+__all__ = [
+    "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_shadow_rays", "record_sums",
+    "threads_race",
+]
 
 RAY_ARRAYS = {
     "state": int, "origin": wp.vec3, "direction": wp.vec3, "t": float, "hit": wp.vec2i, "barycentrics": wp.vec2,
@@ -52,7 +56,7 @@ BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried
 
 CELL_ARRAYS = {
     "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
-    "touched": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
+    "touched": (int, 1), "linked": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
 }
 """Type and entries a cell"""
 
@@ -64,10 +68,54 @@ COUNTERS = {
 """Statistics and their places in count_rays"""
 
 
-def count_rays(paths: Paths, vertices: Vertices, grid: HashGrid, count: int, control: CacheControl) -> np.ndarray:
-    """Return the last frame's counts, by cache_cells.COUNT_*; `count` rays are no bounces. Waits for the device."""
+def make_grid(settings: CacheSettings, device: str) -> HashGrid:
+    """Return empty cells."""
+    grid, capacity = HashGrid(), 1 << settings.capacity
+    for name, (dtype, entries) in CELL_ARRAYS.items():
+        setattr(grid, name, wp.zeros(capacity * entries, dtype=dtype, device=device))
+    grid.live = wp.zeros(1, dtype=int, device=device)
+    grid.bucket_mask = capacity // int(BUCKET) - 1
+    grid.pixels = settings.cell_pixels
+    grid.minimum = settings.minimum_cell
+    grid.level_blend, grid.scan_all = int(settings.level_blend), int(settings.scan_all)
+    grid.directions = int(settings.key == CacheKey.DIRECTION)
+    # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
+    grid.weighed = int(settings.bounces not in (1, 2) and settings.bounce_share > 0.0)
+    return grid
+
+
+def make_control(device: str) -> CacheControl:
+    """Return counters and sums of no frames."""
+    control, lanes = CacheControl(), int(cache_cells.LANES)
+    control.age, control.live = wp.zeros(1, dtype=int, device=device), wp.zeros(1, dtype=int, device=device)
+    control.balance = wp.zeros(2 * lanes * 9, dtype=wp.int64, device=device)
+    control.factors = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
+    control.counters = wp.zeros(lanes * int(cache_cells.COUNTERS), dtype=int, device=device)
+    return control
+
+
+def make_rays(count: int, bounces: int, filtered: bool, device: str) -> tuple[Paths, Vertices]:
+    """Return arrays for `count` rays and as many bounce rays; `filtered`: some triangles need a test per hit."""
+    paths, vertices, total = Paths(), Vertices(), count + bounces
+    groups = (
+        (paths, RAY_ARRAYS, total), (paths, LAYER_ARRAYS, total if filtered else 1), (paths, UNUSED_ARRAYS, 1),
+        (vertices, VERTEX_ARRAYS, total), (vertices, BOUNCE_ARRAYS, bounces))
+    for owner, arrays, size in groups:
+        for name, dtype in arrays.items():
+            setattr(owner, name, wp.zeros(max(size, 1), dtype=dtype, device=device))
+    vertices.cell.fill_(int(NO_CELL))
+    return paths, vertices
+
+
+def count_rays(
+    paths: Paths, vertices: Vertices, grid: HashGrid, count: int, control: CacheControl, slots: int,
+) -> np.ndarray:
+    """Return the last frame's counts, by cache_cells.COUNT_*, and wait for the device.
+
+    Of the first `slots` slots; the first `count` rays are no bounces.
+    """
     control.counters.zero_()
-    launch(cache_cells.count_rays, len(paths.state), [paths, vertices, grid, count], [control],
+    launch(cache_cells.count_rays, slots, [paths, vertices, grid, count], [control],
            str(control.counters.device))
     return control.counters.numpy().reshape(int(cache_cells.LANES), -1).sum(0, dtype=np.int64)
 

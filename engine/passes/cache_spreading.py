@@ -7,18 +7,24 @@ import enum
 
 import warp as wp
 
-from ...kernels import cache_cells, cache_spread
+from ...kernels import cache_cells, cache_rays, cache_spread
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
 from ...kernels.hash_grid import HashGrid
 from ...kernels.paths import Paths
 from ..frame_graph import FrameGraph
 
-__all__ = ["SWEEPS", "LightPhase", "light_phase", "record_coarse_cells", "record_spreading"]
+__all__ = [
+    "FURTHER_SHARES", "SWEEPS", "LightPhase", "light_phase", "record_coarse_cells", "record_continuing",
+    "record_spreading", "sweeps",
+]
 
-SWEEPS = 10
+SWEEPS = 16
 """Times that light goes on from cell to cell in a frame while it spreads: what is left after them the balance mends"""
 
+FURTHER_SHARES = (0.5, 0.25)
+"""Rays by bounce ray that go on from where bounce rays have ended in the same frame while light spreads, and from there
+again. A third of them find cells from which none has started: they cost 4 to 5 % of such a frame's rays"""
 
 SETTLED = int(cache_cells.REBALANCE_FRAMES) + 1
 """Frames after which the balance has left the cells alone for one frame"""
@@ -45,6 +51,26 @@ def light_phase(frame: int, light_age: int, *, moved: bool) -> LightPhase:
     if age < float(cache_spread.SWEEP_FRAMES):
         return LightPhase.SWEEPING
     return LightPhase.SPREADING if age < SETTLED or moved else LightPhase.SETTLED
+
+
+def sweeps(views: wp.array) -> bool:
+    """Return whether the last frame of one View was LightPhase.SWEEPING; waits for the device."""
+    view = views.numpy()[0]
+    return min(view["light_age"], view["frame"]) < float(cache_spread.SWEEP_FRAMES)
+
+
+def record_continuing(
+    graph: FrameGraph, views: wp.array, grid: HashGrid, paths: Paths, vertices: Vertices, count: int, begin: int,
+    width: int, further: int, filtered: int,
+) -> None:
+    """Record sending `further` rays on from where `width` bounce rays of this frame, from `begin` on, have ended.
+
+    Theirs are the slots of the bounce rays after those. Other arguments as of record_spreading; `filtered` 1: they
+    may meet transparent layers.
+    """
+    graph.launch(cache_rays.mark_sources, width, [views, vertices, begin], [grid], banded=False)
+    graph.launch(
+        cache_rays.continue_bounces, further, [views, grid, count, begin, width, further, filtered], [paths, vertices])
 
 
 def record_coarse_cells(

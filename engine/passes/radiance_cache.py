@@ -23,34 +23,35 @@ from ...kernels import (
     cache_shade,
     compaction,
 )
-from ...kernels.cache_cells import CacheControl
-from ...kernels.cache_rays import Vertices
 from ...kernels.environment_split import NO_THRESHOLD
 from ...kernels.gbuffer import GBuffer
-from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
-from ...kernels.paths import Paths
+from ...kernels.hash_grid import NO_CELL, HashGrid
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
-from ..settings import CacheKey, CacheSettings
+from ..settings import CacheSettings
 from ..work_list import make_queue, make_work_list
 from .cache_buffers import (
-    BOUNCE_ARRAYS,
-    CELL_ARRAYS,
     COUNTERS,
-    LAYER_ARRAYS,
-    RAY_ARRAYS,
-    UNUSED_ARRAYS,
-    VERTEX_ARRAYS,
     count_rays,
+    make_control,
+    make_grid,
+    make_rays,
     record_insertion,
     record_shadow_rays,
     record_sums,
     threads_race,
 )
-from .cache_spreading import LightPhase, record_coarse_cells, record_spreading
+from .cache_spreading import (
+    FURTHER_SHARES,
+    LightPhase,
+    record_coarse_cells,
+    record_continuing,
+    record_spreading,
+    sweeps,
+)
 from .layer_rays import record_hits
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
@@ -90,36 +91,19 @@ class RadianceCachePass:
         self.deterministic = deterministic and threads_race(device)
         self.width = self.height = 0
         self.capacity = 1 << settings.capacity
-        self.grid = self._make_grid()
-        control = CacheControl()
-        control.age, control.live = self._zeros(1, int), self._zeros(1, int)
-        control.balance = self._zeros(2 * int(cache_cells.LANES) * 9, wp.int64)
-        control.factors = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
-        control.counters = self._zeros(int(cache_cells.LANES) * int(cache_cells.COUNTERS), int)
-        self.control = control
+        self.grid = make_grid(settings, device)
+        self.control = make_control(device)
         self.pending = self._zeros(1, int)
         """Frame that has started bounce rays for the next one, plus one"""
         self.count = self.bounces = self.settled = -1
+        self.further: tuple[int, ...] = ()
+        """Bounce rays from where this frame's have ended, and from there again, while light spreads"""
         self._layers = False
         self._views: wp.array | None = None
         self._gbuffer: dict[int, GBuffer] = {}
 
     def _zeros(self, count: int, dtype: type) -> wp.array:
         return wp.zeros(count, dtype=dtype, device=self.device)
-
-    def _make_grid(self) -> HashGrid:
-        grid, settings = HashGrid(), self.settings
-        for name, (dtype, entries) in CELL_ARRAYS.items():
-            setattr(grid, name, self._zeros(self.capacity * entries, dtype))
-        grid.live = self._zeros(1, int)
-        grid.bucket_mask = self.capacity // int(BUCKET) - 1
-        grid.pixels = settings.cell_pixels
-        grid.minimum = settings.minimum_cell
-        grid.level_blend, grid.scan_all = int(settings.level_blend), int(settings.scan_all)
-        grid.directions = int(settings.key == CacheKey.DIRECTION)
-        # Only where cells read each other's indirect light, of which the bounce rays' share of emission is a part.
-        grid.weighed = int(settings.bounces not in (1, 2) and settings.bounce_share > 0.0)
-        return grid
 
     def resize(self, width: int, height: int) -> None:
         """Take note of the picture's size [px]; only debug views depend on it."""
@@ -143,20 +127,20 @@ class RadianceCachePass:
         if (count, bounces, filtered) == (self.count, self.bounces, self._layers):
             return
         self.count, self.bounces, self._layers = count, bounces, filtered
-        total = count + bounces
-        self.paths, self.vertices = Paths(), Vertices()
-        groups = (
-            (self.paths, RAY_ARRAYS, total), (self.paths, LAYER_ARRAYS, total if filtered else 1),
-            (self.paths, UNUSED_ARRAYS, 1), (self.vertices, VERTEX_ARRAYS, total),
-            (self.vertices, BOUNCE_ARRAYS, max(bounces, 1)))
-        for owner, arrays, size in groups:
-            for name, dtype in arrays.items():
-                setattr(owner, name, self._zeros(max(size, 1), dtype))
-        self.vertices.cell.fill_(int(NO_CELL))
+        # Only where light goes on from cell to cell.
+        sweeps_on = bounces > 0 and self.settings.bounces != 2
+        self.further = tuple(math.ceil(each * bounces) for each in FURTHER_SHARES if sweeps_on)
+        total = count + self.most_bounces
+        self.paths, self.vertices = make_rays(count, self.most_bounces, filtered, self.device)
         self.queue = make_queue(total if filtered else 1, self.device)
         self.layered = make_work_list(total if filtered else 1, self.device)
         self.left, self.lit = make_work_list(total, self.device), make_work_list(total, self.device)
         """Rays and shadow rays that need the full node machine; all shadow rays"""
+
+    @property
+    def most_bounces(self) -> int:
+        """Slots of bounce rays; frames while light spreads need them all, others the first `bounces`."""
+        return self.bounces + sum(self.further)
 
     def cells(self, minimum_cell: float) -> HashGrid:
         """Return the cells for rays of other passes, with the smallest size [m] set (see smallest_cell).
@@ -197,7 +181,8 @@ class RadianceCachePass:
         self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
-        with graph.slots(0, count, count + self.bounces):
+        total = count + self.most_bounces
+        with graph.slots(0, count, total):
             with graph.section("Cache rays"):
                 graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
                 self._record_hits(graph, scene, 0, count)
@@ -211,14 +196,16 @@ class RadianceCachePass:
         bounces = 0 if settled else self.bounces
         if bounces > 0:
             self._record_start(graph, views, settled=False)
-            self._record_bounces(graph, scene, views, threshold)
-        with graph.slots(0, count + bounces, count + self.bounces):
+            self._record_bounces(graph, scene, views, threshold, 0, bounces)
+        if phase is LightPhase.SWEEPING:
+            bounces = self._record_further(graph, scene, views, threshold)
+        with graph.slots(0, count + bounces, total):
             self._record_lights(graph, scene, views, programs, 0, count + bounces, settled=settled)
-        self._record_cells(graph, views, rays, after, phase)
+        self._record_cells(graph, views, rays, after, phase, bounces)
         if settled and self.bounces > 0:
             # Beside all that follows.
             with graph.branch(BOUNCES):
-                with graph.section("Cache cells"), graph.slots(count, self.bounces, count + self.bounces):
+                with graph.section("Cache cells"), graph.slots(count, self.bounces, total):
                     self._record_sums(graph, views, count, self.bounces)
                 self._record_start(graph, views, settled=True)
 
@@ -245,15 +232,15 @@ class RadianceCachePass:
         self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
         if self.bounces == 0 or not self.is_settled(phase):
             return
-        with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.bounces):
+        with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.most_bounces):
             graph.join(after)
             with graph.section("Cache bounces"):
                 graph.launch(
                     cache_rays.resume_bounces, self.bounces, [views, self.pending, count], [self.paths, self.vertices])
-            self._record_bounces(graph, scene, views, threshold)
+            self._record_bounces(graph, scene, views, threshold, 0, self.bounces)
             self._record_lights(graph, scene, views, programs, count, self.bounces, settled=True)
             with graph.section("Cache cells"):
-                self._record_gathering(graph, views)
+                self._record_gathering(graph, views, self.bounces)
                 record_coarse_cells(graph, views, self.grid, self.control, self.vertices, self.bounces)
 
     def is_settled(self, phase: LightPhase) -> bool:
@@ -311,12 +298,27 @@ class RadianceCachePass:
                 [views, self.grid, self.count, self.bounces, self.settled, int(self._layers), int(settled)],
                 [self.paths, self.vertices, self.pending])
 
-    def _record_bounces(self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float) -> None:
-        """Record following bounce rays that have been started, up to their hits' cells."""
+    def _record_bounces(
+        self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float, begin: int, count: int,
+    ) -> None:
+        """Record following `count` bounce rays that have been started, from `begin` on, up to their hits' cells."""
+        first = self.count + begin
         with graph.section("Cache bounces"):
-            self._record_hits(graph, scene, self.count, self.bounces)
-        self._record_materials(graph, scene, views, self.count, self.bounces, threshold)
-        self._record_insertion(graph, views, self.count, self.bounces)
+            self._record_hits(graph, scene, first, count)
+        self._record_materials(graph, scene, views, first, count, threshold)
+        self._record_insertion(graph, views, first, count)
+
+    def _record_further(self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float) -> int:
+        """Record sending rays on from where bounce rays have ended; return how many bounce rays there are in all."""
+        begin, width = 0, self.bounces
+        for further in self.further:
+            with graph.section("Cache bounces"):
+                record_continuing(
+                    graph, views, self.grid, self.paths, self.vertices, self.count, begin, width, further,
+                    int(self._layers))
+            begin, width = begin + width, further
+            self._record_bounces(graph, scene, views, threshold, begin, width)
+        return begin + width
 
     def _record_lights(
         self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool, offset: int, count: int, *,
@@ -340,32 +342,33 @@ class RadianceCachePass:
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,
+        bounces: int,
     ) -> None:
-        """Record taking the light into the cells, and the answer."""
+        """Record taking the light into the cells, also that of `bounces` bounce rays, and the answer."""
         grid, control, settings = self.grid, self.control, self.settings
         sweeping, settled = phase is LightPhase.SWEEPING, self.is_settled(phase)
         with graph.section("Cache cells"):
             if settled:
-                with graph.slots(0, self.count, self.count + self.bounces):
+                with graph.slots(0, self.count, self.count + self.most_bounces):
                     self._record_sums(graph, views, 0, self.count)
                     self._record_answer(graph, views, rays)
                 return
-            if self.bounces > 0:
-                self._record_gathering(graph, views)
-            if self.deterministic and self.bounces > 0:
-                graph.launch(cache_claim.claim_coarse, self.bounces, [self.vertices], [grid], banded=False)
+            if bounces > 0:
+                self._record_gathering(graph, views, bounces)
+            if self.deterministic and bounces > 0:
+                graph.launch(cache_claim.claim_coarse, bounces, [self.vertices], [grid], banded=False)
                 graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
-            if self.bounces > 0:
+            if bounces > 0:
                 record_spreading(
-                    graph, views, grid, control, self.paths, self.vertices, self.count, self.bounces,
+                    graph, views, grid, control, self.paths, self.vertices, self.count, bounces,
                     float(settings.sample_cap), all_bounces=sweeping and settings.bounces != 2)
-            self._record_sums(graph, views, 0, self.count + self.bounces)
+            self._record_sums(graph, views, 0, self.count + bounces)
             graph.join(*after)
             self._record_answer(graph, views, rays)
 
-    def _record_gathering(self, graph: FrameGraph, views: wp.array) -> None:
+    def _record_gathering(self, graph: FrameGraph, views: wp.array, bounces: int) -> None:
         graph.launch(
-            cache_shade.gather_bounces, self.bounces,
+            cache_shade.gather_bounces, bounces,
             [views, self.grid, self.paths, self.count, int(self.settings.bounces != 2)], [self.vertices])
 
     def _record_sums(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
@@ -391,6 +394,7 @@ class RadianceCachePass:
         """Return the last frame's counts; waits for the device."""
         counters = np.zeros(int(cache_cells.COUNTERS), np.int64)
         if self.count >= 0:
-            counters = count_rays(self.paths, self.vertices, self.grid, self.count, self.control)
+            bounces = self.most_bounces if sweeps(self._views) else self.bounces
+            counters = count_rays(self.paths, self.vertices, self.grid, self.count, self.control, self.count + bounces)
         counts = {name: int(counters[int(index)]) for name, index in COUNTERS.items()}
         return counts | {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}

@@ -385,7 +385,7 @@ class ReflectionPass:
         """Return the last frame's counts; waits for the device."""
         if self._room is None:
             return {}
-        counters = count_rays(self.paths, self.vertices, self._grid, self.blocks, self.control)
+        counters = count_rays(self.paths, self.vertices, self._grid, self.blocks, self.control, len(self.paths.state))
         what = self.title.lower()
         return {f"{what} rays": int(self.rays.rank.numpy()[-1]),
                 f"{what} shadow rays": int(counters[int(cache_cells.COUNT_SHADOWS)])}

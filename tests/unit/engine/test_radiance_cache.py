@@ -305,9 +305,14 @@ def test_published_key_runs(device):
 
 
 def test_counts(device):
-    """Count a frame's rays: the probes', a bounce of each until light has spread, then of a share, shadow rays."""
+    """Count a frame's rays: the probes', a bounce of each until light has spread, then of a share, shadow rays.
+
+    Others go on from where the first frames' have ended: up to 750, and fewer than half of that where cells are wide.
+    """
     rig = Rig(lit_room(), device, count=1000)
-    for frames, bounces in ((4, 1000), (46, 300)):
+    rig.frame(*rig.room_rays())
+    assert 1010 <= rig.cache.stats()["bounce rays"] <= 1375
+    for frames, bounces in ((19, 1000), (30, 300)):
         for _ in range(frames):
             rig.frame(*rig.room_rays())
         stats = rig.cache.stats()
@@ -351,13 +356,3 @@ def test_debug_views(device):
         colors = picture.numpy()[:, :3]
         assert (colors[:8] == 0).all()
         assert (colors[8:].max(1) > 0).mean() > 0.9, name
-
-
-def test_light_is_whole_from_the_first_frames(device):
-    """See the light of all bounces, within 10 % in the very first frame and 5 % in the third, in a bright room."""
-    rig = Rig(lit_room(albedo=0.85), device, count=3072)
-    early = [rig.mean_of(1) for _ in range(3)]
-    rig.mean_of(60)
-    steady = rig.mean_of(20)
-    assert 0.9 <= early[0] / steady <= 1.1
-    assert 0.95 <= early[2] / steady <= 1.05
