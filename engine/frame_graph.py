@@ -236,11 +236,15 @@ class FrameGraph:
                     streams[step.branch].wait_stream(streams[step.after])
                 else:
                     with wp.ScopedStream(streams[step.branch], sync_enter=False):
-                        step.run()
+                        self._issue(step)
             for name in self._open:
                 trunk.wait_stream(streams[name])
         keep_priorities(capture.graph)
         return capture.graph
+
+    def _issue(self, step: _Step) -> None:
+        """Put a step on the stream that is captured."""
+        step.run()
 
     def _replay_timed(self) -> None:
         elapsed, steps = [], self._launches()
