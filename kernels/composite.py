@@ -118,7 +118,7 @@ def reflected_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pix
     """Return the indirect light that a surface reflects, without its colour.
 
     From the roughness on where the reflection has no samples it is the irradiance, by the share of it that the lobe
-    gets. A sharp coat on a rough base has samples of both together (specular_lobes.py): they count for both.
+    gets. Samples of a sharp coat on a rough base have the light of both (coat_alone).
     """
     ratio = float(lights.specular_ratio[pixel])
     if not wp.isfinite(ratio):

@@ -12,14 +12,13 @@ import warp as wp
 
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material, load_previous_surface
-from .geometry_math import INV_PI, is_finite3, luminance, max_component, mean_component, sqr
+from .geometry_math import INV_PI, luminance, max_component, mean_component, sqr
 from .lamp_sample import LightSample
 from .light_candidate import Candidate, replay
 from .light_linking import kinds_lit_at
-from .reflection_lights import is_singular, light_part, light_side_share, sample_roughness, shown_zone
-from .reflection_types import ReflectionOptions
-from .specular_lobes import lobes_pdf, specular_lobes, surface_alpha
-from .surface_brdf import evaluate_brdf
+from .reflection_lights import light_part, sample_roughness, shown_zone
+from .reflection_types import ReflectionOptions, coat_alone
+from .specular_lobes import surface_alpha
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene
 from .view import View, direction_to_eye
 
@@ -82,18 +81,6 @@ class Reservoir:
 
 
 @wp.struct
-class LitSurface:
-    """A pixel's surface, ready to be lit."""
-
-    surface: Surface
-    material: SurfaceMaterial
-    """Diffuse and translucent albedo divided by their sum"""
-    smooth: wp.vec3
-    """Interpolated normal, see evaluate_brdf"""
-    wo: wp.vec3
-
-
-@wp.struct
 class Receiver:
     """What the target needs of a pixel: colours are luminances here."""
 
@@ -109,17 +96,10 @@ class Receiver:
     coat: float
     coat_roughness: float
     coat_share: float
-    """Of the coat in the density of reflection rays"""
+    """Of the coat in the density of reflection rays; `coat_alone`: those rays bring light to it alone"""
+    coat_alone: int
     zone: float
     """reflection_lights.shown_zone; 0 without reflection rays"""
-
-
-@wp.struct
-class LightTerms:
-    """Unshadowed light of one sample divided by its pdf, without the surface's colours."""
-
-    diffuse: wp.vec3
-    specular: wp.vec3
 
 
 @wp.func
@@ -174,33 +154,6 @@ def load_reservoir(reservoirs: Reservoirs, pixel: int) -> Reservoir:
 
 
 @wp.func
-def share_of(part: float, whole: float) -> float:
-    """Return part / whole; 1 where the whole is nothing."""
-    return wp.where(whole > 0.0, part / wp.max(whole, 1.0e-30), 1.0)
-
-
-# Where no reflection rays help, samples of a light seldom meet a sharper lobe, which would be sparks; path tracing
-# shows it at rest.
-LEAST_ROUGHNESS = wp.constant(0.15)
-
-
-@wp.func
-def load_lit(view: View, gbuffer: GBuffer, surface: Surface, smooth: wp.vec3, pixel: int) -> LitSurface:
-    """Return a pixel of this frame without its diffuse colours; `smooth` is its interpolated normal."""
-    p = LitSurface()
-    p.surface = surface
-    p.smooth = smooth
-    p.material = load_material(gbuffer, pixel)
-    diffuse = p.material.diffuse
-    albedo = diffuse + p.material.translucent
-    p.material.diffuse = wp.vec3(
-        share_of(diffuse[0], albedo[0]), share_of(diffuse[1], albedo[1]), share_of(diffuse[2], albedo[2]))
-    p.material.translucent = wp.vec3(1.0, 1.0, 1.0) - p.material.diffuse
-    p.wo = direction_to_eye(view.camera, surface.position)
-    return p
-
-
-@wp.func
 def make_receiver(
     options: DirectOptions, surface: Surface, material: SurfaceMaterial, wo: wp.vec3, weights: wp.vec3,
 ) -> Receiver:
@@ -221,6 +174,7 @@ def make_receiver(
     p.coat = 0.0
     p.coat_roughness = material.coat_roughness
     p.coat_share = 0.0
+    p.coat_alone = 0
     p.zone = 0.0
     if max_component(material.specular) > SPECULAR_MIN:
         p.f0 = luminance(material.f0, weights)
@@ -230,6 +184,9 @@ def make_receiver(
             p.coat_share = wp.clamp(material.coat / wp.max(mean_component(material.specular), 1.0e-6), 0.0, 1.0)
         if options.rays == 1:
             p.zone = shown_zone(options.reflection, material)
+            if coat_alone(options.reflection, material):
+                p.coat_share = 1.0
+                p.coat_alone = 1
     return p
 
 
@@ -250,59 +207,6 @@ def load_previous_receiver(
     surface = load_previous_surface(view, gbuffer, options.width, pixel)
     return make_receiver(
         options, surface, load_material(gbuffer, pixel), direction_to_eye(view.previous, surface.position), weights)
-
-
-@wp.func
-def divide_color(value: wp.vec3, albedo: wp.vec3) -> wp.vec3:
-    """Take the specular albedo out of a specular value."""
-    return wp.vec3(
-        wp.where(albedo[0] > SPECULAR_MIN, value[0] / wp.max(albedo[0], SPECULAR_MIN), 0.0),
-        wp.where(albedo[1] > SPECULAR_MIN, value[1] / wp.max(albedo[1], SPECULAR_MIN), 0.0),
-        wp.where(albedo[2] > SPECULAR_MIN, value[2] / wp.max(albedo[2], SPECULAR_MIN), 0.0))
-
-
-@wp.func
-def lit_material(options: DirectOptions, m: SurfaceMaterial, s: LightSample) -> SurfaceMaterial:
-    """Return a material as a light sample shows it: no lobe sharper than what such samples can meet."""
-    if options.rays == 0:
-        m.roughness = wp.max(m.roughness, LEAST_ROUGHNESS)
-        m.coat_roughness = wp.max(m.coat_roughness, LEAST_ROUGHNESS)
-        return m
-    if s.delta == 1:
-        # A mirror shows no light without size.
-        if is_singular(m.roughness):
-            m.f0 = wp.vec3(0.0, 0.0, 0.0)
-            m.f90 = 0.0
-        if is_singular(m.coat_roughness):
-            m.coat = 0.0
-    m.roughness = sample_roughness(m.roughness, s)
-    m.coat_roughness = sample_roughness(m.coat_roughness, s)
-    return m
-
-
-@wp.func
-def light_terms(
-    scene: Scene, split: EnvironmentSplit, options: DirectOptions, p: LitSurface, candidate: Candidate, s: LightSample,
-) -> LightTerms:
-    """Return what a light sample gives a surface; light switched off for a kind of ray is left out."""
-    terms = LightTerms()
-    terms.diffuse = wp.vec3(0.0, 0.0, 0.0)
-    terms.specular = wp.vec3(0.0, 0.0, 0.0)
-    if s.kind < 0:
-        return terms
-    f = evaluate_brdf(lit_material(options, p.material, s), p.surface, p.smooth, p.wo, s.wi)
-    light = s.radiance / s.pdf
-    if (s.visibility & VISIBLE_DIFFUSE) != 0:
-        terms.diffuse = wp.cw_mul(f.diffuse + f.transmitted, light)
-    if (s.visibility & VISIBLE_GLOSSY) != 0 and max_component(f.specular) > 0.0:
-        share = float(1.0)
-        if options.rays == 1:
-            zone = shown_zone(options.reflection, p.material)
-            if zone > 0.0:
-                density = lobes_pdf(specular_lobes(p.material, p.surface, p.wo), s.wi)
-                share = light_side_share(scene, split, candidate, s, p.surface.position, density, zone)
-        terms.specular = divide_color(wp.cw_mul(f.specular, light), p.material.specular) * share
-    return terms
 
 
 @wp.func
@@ -342,13 +246,18 @@ def specular_estimate(options: DirectOptions, p: Receiver, s: LightSample, cos_i
         coat_roughness = sample_roughness(coat_roughness, s)
     density = lobe_estimate(surface_alpha(roughness), h, across, i, o)
     value = (p.f0 * (1.0 - m5) + p.f90 * m5) * density
+    # What rays bring no part of.
+    rest = float(0.0)
     if p.coat > 0.0:
+        if p.coat_alone == 1:
+            rest = value
+            value = 0.0
         coat = lobe_estimate(surface_alpha(coat_roughness), h, across, i, o)
         value += p.coat * coat
         density = wp.lerp(density, coat, p.coat_share)
     if p.zone > 0.0 and s.delta == 0:
         value *= light_part(density, s.pdf, p.zone)
-    return value
+    return value + rest
 
 
 @wp.func
@@ -383,15 +292,3 @@ def target_of(
     s = replay(scene, split, emitters, p.position, candidate)
     s.visibility = kinds_lit_at(scene, gbuffer, pixel, s.visibility)
     return target(options, p, s, scene.luminance)
-
-
-@wp.func
-def scaled_terms(terms: LightTerms, factor: wp.vec3) -> LightTerms:
-    """Return light times a factor; black where that is not finite."""
-    out = LightTerms()
-    out.diffuse = wp.cw_mul(terms.diffuse, factor)
-    out.specular = wp.cw_mul(terms.specular, factor)
-    if not (is_finite3(out.diffuse) and is_finite3(out.specular)):
-        out.diffuse = wp.vec3(0.0, 0.0, 0.0)
-        out.specular = wp.vec3(0.0, 0.0, 0.0)
-    return out

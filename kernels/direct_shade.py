@@ -14,16 +14,13 @@ from .direct_light import PackedLight
 from .direct_reservoir import (
     COARSE_SINE,
     DirectOptions,
-    LightTerms,
     Reservoirs,
     has_sample,
-    light_terms,
-    load_lit,
     load_reservoir,
     pixel_of_slot,
-    scaled_terms,
     slot_of_pixel,
 )
+from .direct_terms import LightTerms, light_terms, load_lit, scaled_terms
 from .environment_split import EnvironmentSplit
 from .gbuffer import (
     SURFACE_BACKFACING,

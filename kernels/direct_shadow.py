@@ -12,17 +12,8 @@ import warp as wp
 
 from .direct_emitters import is_constant
 from .direct_light import PackedLight
-from .direct_reservoir import (
-    DirectOptions,
-    LightTerms,
-    Reservoirs,
-    has_sample,
-    light_terms,
-    load_lit,
-    load_reservoir,
-    pixel_of_slot,
-    scaled_terms,
-)
+from .direct_reservoir import DirectOptions, Reservoirs, has_sample, load_reservoir, pixel_of_slot
+from .direct_terms import LightTerms, light_terms, load_lit, scaled_terms
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
 from .geometry_math import luminance

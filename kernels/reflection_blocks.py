@@ -16,6 +16,7 @@ from .reflection_types import (
     SAMPLE_FAR,
     ReflectionOptions,
     ReflectionSamples,
+    coat_alone,
     is_sampled,
     sample_pixel,
     translucent_share,
@@ -143,6 +144,8 @@ def filter_roughness(options: ReflectionOptions, m: SurfaceMaterial) -> float:
         return wp.lerp(m.roughness, 1.0, translucent_share(m))
     if m.coat <= REFLECTANCE_MIN or m.coat_roughness >= m.roughness:
         return m.roughness
+    if coat_alone(options, m):
+        return m.coat_roughness
     share = wp.min(4.0 * m.coat / wp.max(mean_component(m.specular), 1.0e-6), 1.0)
     return wp.pow(wp.max(m.roughness, 0.02), 1.0 - share) * wp.pow(wp.max(m.coat_roughness, 0.02), share)
 

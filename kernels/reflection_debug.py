@@ -21,6 +21,7 @@ from .reflection_rays import (
 from .reflection_types import (
     NO_SAMPLE,
     SAMPLE_FAR,
+    SOURCE_COAT,
     SOURCE_PROBE,
     SOURCE_RAY,
     ReflectionOptions,
@@ -42,7 +43,7 @@ def class_color(gbuffer: GBuffer, pixel: int, source: wp.uint8) -> wp.vec3:
     """Return grey for diffuse surfaces, green for probes, blue for rays and light blue for rays over mirrors."""
     if source == SOURCE_PROBE:
         return wp.vec3(0.05, 0.5, 0.1)
-    if source == SOURCE_RAY:
+    if source == SOURCE_RAY or source == SOURCE_COAT:
         if load_material(gbuffer, pixel).roughness < MIRROR_ROUGHNESS:
             return wp.vec3(0.2, 0.5, 1.0)
         return wp.vec3(0.02, 0.08, 0.7)
@@ -86,7 +87,7 @@ def show_samples(
         if what == REFLECTION_CLASSES:
             c = class_color(gbuffer, pixel, source)
         elif what == REFLECTION_HITS:
-            if source == SOURCE_RAY:
+            if source == SOURCE_RAY or source == SOURCE_COAT:
                 c = found_color(rays.found[rays.rank[block] - 1])
         elif samples.place[block] != NO_SAMPLE and samples.pdf[block] > 0.0:
             value = unpack_halves(samples.radiance[block])

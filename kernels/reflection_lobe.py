@@ -6,15 +6,15 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import GBuffer, load_material
-from .geometry_math import PI, mean_component, sqr
+from .geometry_math import PI, sqr
 from .ggx import bounded_cap
 from .normals import valid_specular_normal
 from .packed_halves import unpack_halves
 from .packing import unpack_normal
 from .reflection_blocks import FilterCentre, ReflectionHistory
-from .reflection_types import LOBE_REFLECTION, ReflectionOptions
+from .reflection_types import LOBE_REFLECTION, ReflectionOptions, sampled_material
 from .reflection_width import filter_reach
-from .specular_lobes import surface_alpha
+from .specular_lobes import coat_share, surface_alpha
 from .view import View, direction_to_eye, eye_position, film_position, pixel_footprint, unproject
 
 # Standard deviation of the angle in GGX lobes by alpha, of a Gaussian as wide at half height; by how much lobes of
@@ -141,14 +141,14 @@ def filter_lobe(
             out.closeness = known[3]
     out.peak = 1.0
     if needs_densities(options, part):
-        m = load_material(gbuffer, pixel)
+        m = sampled_material(options, load_material(gbuffer, pixel))
         out.view = wo
         out.normal = valid_specular_normal(unpack_normal(gbuffer.geometric_normal[pixel]), wo, centre.normal)
         out.alpha = surface_alpha(m.roughness)
         up = wp.dot(out.normal, wo)
         share = float(0.0)
         if m.coat > 0.0:
-            share = wp.clamp(m.coat / wp.max(mean_component(m.specular), 1.0e-6), 0.0, 1.0)
+            share = coat_share(m)
             out.coat_alpha = surface_alpha(m.coat_roughness)
             out.coat_scale = share * density_scale(up, out.coat_alpha)
         out.scale = (1.0 - share) * density_scale(up, out.alpha)

@@ -24,11 +24,13 @@ from .reflection_rays import (
 from .reflection_types import (
     LOBE_REFLECTION,
     NO_SAMPLE,
+    SOURCE_COAT,
     SOURCE_NONE,
     SOURCE_PROBE,
     SOURCE_RAY,
     ReflectionOptions,
     ReflectionSamples,
+    coat_alone,
     is_sampled,
     place_pixel,
 )
@@ -63,6 +65,7 @@ def place_samples(
     places = options.stride * options.stride
     found = int(-1)
     traced = bool(False)
+    coated = bool(False)
     k = int(0)
     while k < places and found < 0:
         place = place_of_frame(options.stride, view.frame + k)
@@ -72,6 +75,7 @@ def place_samples(
                 m = load_material(gbuffer, pixel)
                 if is_sampled(options, m):
                     found = place
+                    coated = coat_alone(options, m)
                     share = chance_of_ray(options, m)
                     traced = share >= 1.0
                     if share > 0.0 and share < 1.0:
@@ -83,7 +87,7 @@ def place_samples(
     samples_out.pdf[block] = 0.0
     source = SOURCE_NONE
     if found >= 0:
-        source = wp.where(traced, SOURCE_RAY, SOURCE_PROBE)
+        source = wp.where(traced, wp.where(coated, SOURCE_COAT, SOURCE_RAY), SOURCE_PROBE)
     rays_out.source[block] = source
     rays_out.flag[block] = wp.where(traced, 1, 0)
 

@@ -24,8 +24,17 @@ from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER
 from .probe_types import CELLS, FAR, TILE, ProbeGrid, ProbePool
 from .reflection_rays import sequence_index, sequence_seed
 from .reflection_start import drawn_pdf
-from .reflection_types import SAMPLE_FAR, SOURCE_PROBE, ReflectionOptions, ReflectionSamples, place_pixel
-from .sampling import sample_pair
+from .reflection_types import (
+    SAMPLE_FAR,
+    SOURCE_COAT,
+    SOURCE_PROBE,
+    ReflectionOptions,
+    ReflectionSamples,
+    coat_alone,
+    place_pixel,
+    sampled_material,
+)
+from .sampling import fraction, sample_pair
 from .specular_lobes import SpecularLobes, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .view import View
 from .wide_loads import load_piece, load_view
@@ -35,6 +44,12 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # Dimensions of a pixel's random sequences, besides those of rays.
 DIMENSION_LOOK_UP = wp.constant(96)
 DIMENSION_LOOK_UP_LOBE = wp.constant(97)
+
+# Directions in which the probes are asked for the light of a base under a coat, and steps between their numbers (as of
+# direct_candidates.py).
+BASE_LOOK_UPS = wp.constant(4)
+STEP_X = wp.constant(0.7548777)
+STEP_Y = wp.constant(0.5698403)
 
 # From this distance on, in distances from the probe, a point is seen in the same direction from both: 1 degree.
 SAME_DIRECTION = wp.constant(57.0)
@@ -170,14 +185,18 @@ def arriving_light(
 
 @wp.func
 def demodulated(
-    moments: wp.array[wp.uint64], m: SurfaceMaterial, s: Surface, lobes: SpecularLobes, wi: wp.vec3,
+    moments: wp.array[wp.uint64], whole: SurfaceMaterial, m: SurfaceMaterial, s: Surface, lobes: SpecularLobes,
+    wi: wp.vec3,
 ) -> wp.vec3:
-    """Return f cos / density / albedo: what light from a direction counts for; 0 where the surface absorbs it."""
+    """Return f cos / density / albedo: what light from a direction counts for; 0 where the surface absorbs it.
+
+    `m` is what is drawn of the `whole` material, whose albedo it is (sampled_material).
+    """
     none = wp.vec3(0.0, 0.0, 0.0)
     pdf = lobes_pdf(lobes, wi)
     if pdf <= 0.0 or wp.dot(wi, s.geometric_normal) <= 0.0:
         return none
-    albedo = wp.max(fitted_albedo(moments, m, lobes.local_o[2]), wp.vec3(ALBEDO_MIN, ALBEDO_MIN, ALBEDO_MIN))
+    albedo = wp.max(fitted_albedo(moments, whole, lobes.local_o[2]), wp.vec3(ALBEDO_MIN, ALBEDO_MIN, ALBEDO_MIN))
     factor = wp.cw_div(lobes_value(m, lobes, wi) / pdf, albedo)
     if not is_finite3(factor):
         return none
@@ -202,35 +221,60 @@ def look_up_probes(
     # Out:
     samples_out: ReflectionSamples,
 ):
-    """Fill the samples of the blocks whose `source` is SOURCE_PROBE; they have a `place`.
+    """Fill the samples of blocks whose `source` is SOURCE_PROBE, add the base's light where it is SOURCE_COAT.
+
+    All have a `place`.
 
     `maps` is the pool's radiance as words. Where no probe around knows the direction, the pixel's diffuse light times
     `ratio` (probe_interpolate.specular_ratio) stands for it, so that nothing gets black.
     """
     block = first + wp.tid()
-    if source[block] != SOURCE_PROBE:
+    kind = source[block]
+    if kind != SOURCE_PROBE and kind != SOURCE_COAT:
         return
     place = int(samples_out.place[block])
     pixel = place_pixel(options, block, place)
     view = load_view(views)
     s = load_surface(view, gbuffer, options.width, pixel)
-    m = load_material(gbuffer, pixel)
-    lobes = specular_lobes(m, s, view_direction(view, s))
+    whole = load_material(gbuffer, pixel)
+    tile = (pixel // options.width // TILE) * grid.tile_columns + pixel % options.width // TILE
     seed = sequence_seed(view, options.width, pixel)
     index = sequence_index(options.stride, view.frame, place)
-    pick = sample_pair(seed, index, DIMENSION_LOOK_UP_LOBE)
-    wi = sample_lobes(lobes, sample_pair(seed, index, DIMENSION_LOOK_UP), pick[0])
-    factor = demodulated(moments, m, s, lobes, wi)
-    light = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
-    if wp.length_sq(factor) > 0.0:
-        tile = (pixel // options.width // TILE) * grid.tile_columns + pixel % options.width // TILE
-        light = arriving_light(grid, records, pool, maps, bare_place(view, grid, s, pixel), tile, wi, pick[1])
-        if light[3] < 0.0:
-            light = rgba(rgb(from_half(irradiance[pixel])) * float(ratio[pixel]), SAMPLE_FAR)
-    drawn = wp.max(drawn_pdf(lobes, wi), PDF_MIN)
-    if not wp.isfinite(drawn):
-        drawn = PDF_MIN
-    samples_out.radiance[block] = pack_halves(rgba(wp.cw_mul(rgb(light), factor), wp.min(light[3], SAMPLE_FAR)))
-    samples_out.direction[block] = pack_normal(wi)
-    # Above 0 for absorbed samples too: they count as black ones.
-    samples_out.pdf[block] = drawn
+    u = sample_pair(seed, index, DIMENSION_LOOK_UP)
+    picks = sample_pair(seed, index, DIMENSION_LOOK_UP_LOBE)
+    m = sampled_material(options, whole)
+    share = float(1.0)
+    # The sample itself comes first, then what the base under a coat adds to it.
+    part = int(0)
+    parts = wp.where(coat_alone(options, whole), 1 + BASE_LOOK_UPS, 1)
+    sum = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
+    if kind == SOURCE_COAT:
+        sum = unpack_halves(samples_out.radiance[block])
+        part = 1
+    while part < parts:
+        if part > 0:
+            m = whole
+            m.coat = 0.0
+            share = 1.0 / float(BASE_LOOK_UPS)
+        lobes = specular_lobes(m, s, view_direction(view, s))
+        step = float(part)
+        pick = wp.vec2(fraction(picks[0] + step * STEP_X), fraction(picks[1] + step * STEP_Y))
+        wi = sample_lobes(
+            lobes, wp.vec2(fraction(u[0] + step / float(BASE_LOOK_UPS)), fraction(u[1] + step * STEP_X)), pick[0])
+        factor = demodulated(moments, whole, m, s, lobes, wi)
+        light = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)
+        if wp.length_sq(factor) > 0.0:
+            light = arriving_light(grid, records, pool, maps, bare_place(view, grid, s, pixel), tile, wi, pick[1])
+            if light[3] < 0.0:
+                light = rgba(rgb(from_half(irradiance[pixel])) * float(ratio[pixel]), SAMPLE_FAR)
+        if part == 0:
+            sum[3] = wp.min(light[3], SAMPLE_FAR)
+            drawn = wp.max(drawn_pdf(lobes, wi), PDF_MIN)
+            if not wp.isfinite(drawn):
+                drawn = PDF_MIN
+            samples_out.direction[block] = pack_normal(wi)
+            # Above 0 for absorbed samples too: they count as black ones.
+            samples_out.pdf[block] = drawn
+        sum = rgba(rgb(sum) + wp.cw_mul(rgb(light), factor) * share, sum[3])
+        part = part + 1
+    samples_out.radiance[block] = pack_halves(sum)

@@ -19,7 +19,7 @@ from .reflection_rays import (
     send_ray,
     start_ray,
 )
-from .reflection_types import ReflectionOptions, ReflectionSamples
+from .reflection_types import ReflectionOptions, ReflectionSamples, sampled_material
 from .sampling import sample_number, sample_pair
 from .specular_lobes import SpecularLobes, lobe_frame, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .tracing import FOOTPRINT_SCALE
@@ -73,7 +73,7 @@ def start_reflections(
     if start.block < 0:
         return
     pixel = start.pixel
-    m = load_material(gbuffer, pixel)
+    m = sampled_material(options, load_material(gbuffer, pixel))
     surface = load_surface(view, gbuffer, options.width, pixel)
     wo = view_direction(view, surface)
     lobes = specular_lobes(m, surface, wo)

@@ -26,12 +26,19 @@ NO_SAMPLE = wp.constant(wp.uint8(255))
 SOURCE_NONE = wp.constant(wp.uint8(0))
 SOURCE_RAY = wp.constant(wp.uint8(1))
 SOURCE_PROBE = wp.constant(wp.uint8(2))
+SOURCE_COAT = wp.constant(wp.uint8(3))
+"""A ray for the coat, look-ups for its base"""
 
 # Distance [m] that stands for the world in samples; the largest round number that fits a half-float.
 SAMPLE_FAR = wp.constant(6.0e4)
 
 # Directional albedo below which no reflection is drawn: 8-bit pictures can't show it.
 REFLECTANCE_MIN = wp.constant(1.0e-3)
+
+# Roughness from which a probe's cells, some 20 degrees wide, are fine enough for what a base under a coat reflects, and
+# the share of it below which the coat's roughness counts as sharp.
+COATED_ROUGHNESS = wp.constant(0.3)
+COAT_SHARP = wp.constant(0.6)
 
 
 @wp.struct
@@ -111,6 +118,28 @@ def ray_share(options: ReflectionOptions, roughness: float) -> float:
     if options.lobe != LOBE_REFLECTION:
         return 1.0
     return fading(roughness, options.traced, options.blend)
+
+
+@wp.func
+def coat_alone(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
+    """Return whether samples are of a surface's coat alone: a sharp one on a base so rough that the probes know it.
+
+    Drawn from both lobes few rays would meet what the coat shows, and a filter as narrow as the coat would leave the
+    base's noise. Look-ups in the probes add the base's light to each sample (look_up_probes).
+    """
+    if options.lobe != LOBE_REFLECTION or m.coat <= REFLECTANCE_MIN or m.roughness < COATED_ROUGHNESS:
+        return False
+    return m.coat_roughness < COAT_SHARP * m.roughness and ray_share(options, m.coat_roughness) > 0.0
+
+
+@wp.func
+def sampled_material(options: ReflectionOptions, m: SurfaceMaterial) -> SurfaceMaterial:
+    """Return what samples are drawn by: the material, or its coat alone; `specular` is the albedo of both lobes."""
+    out = m
+    if coat_alone(options, m):
+        out.f0 = wp.vec3(0.0, 0.0, 0.0)
+        out.f90 = 0.0
+    return out
 
 
 @wp.func

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .gbuffer import Surface, SurfaceMaterial
-from .geometry_math import mean_component, orthonormal_tangent, sqr
+from .geometry_math import max_component, mean_component, orthonormal_tangent, sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
 from .normals import valid_specular_normal
 
@@ -38,7 +38,7 @@ class SpecularLobes:
     alpha: float
     coat_alpha: float
     coat_share: float
-    """Of the samples: the coat's albedo by that of both lobes"""
+    """Of the samples: the coat's albedo by that of both lobes (coat_share)"""
 
 
 @wp.func
@@ -78,6 +78,14 @@ def coat_albedo(cosine: float, roughness: float) -> float:
 
 
 @wp.func
+def coat_share(m: SurfaceMaterial) -> float:
+    """Return the share of a material's samples that its coat gets: all where the base reflects nothing."""
+    if m.f90 + max_component(m.f0) <= 0.0:
+        return 1.0
+    return wp.clamp(m.coat / wp.max(mean_component(m.specular), 1.0e-6), 0.0, 1.0)
+
+
+@wp.func
 def specular_lobes(m: SurfaceMaterial, s: Surface, wo: wp.vec3) -> SpecularLobes:
     """Return a surface's lobes for the view `wo`."""
     lobes = SpecularLobes()
@@ -90,7 +98,7 @@ def specular_lobes(m: SurfaceMaterial, s: Surface, wo: wp.vec3) -> SpecularLobes
     lobes.coat_share = 0.0
     if m.coat > 0.0:
         lobes.coat_alpha = surface_alpha(m.coat_roughness)
-        lobes.coat_share = wp.clamp(m.coat / wp.max(mean_component(m.specular), 1.0e-6), 0.0, 1.0)
+        lobes.coat_share = coat_share(m)
     return lobes
 
 

@@ -9,7 +9,8 @@ import warp as wp
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.environment_split import split_environment
 from burnish.kernels.direct_emitters import EMITTER_WORDS, bake_emitters
-from burnish.kernels.direct_reservoir import DirectOptions, LitSurface, light_terms
+from burnish.kernels.direct_reservoir import DirectOptions
+from burnish.kernels.direct_terms import LitSurface, light_terms
 from burnish.kernels.environment_split import EnvironmentSplit
 from burnish.kernels.gbuffer import Surface, SurfaceMaterial
 from burnish.kernels.intersect import MISS, closest_hit
@@ -22,6 +23,7 @@ from burnish.kernels.reflection_lights import (
     shown_zone,
     world_ray_share,
 )
+from burnish.kernels.reflection_types import sampled_material
 from burnish.kernels.specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from burnish.kernels.types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_GLOSSY, Scene
 
@@ -76,6 +78,21 @@ def ray_light(scene: Scene, split: EnvironmentSplit, r: Receiver, density: float
     return light + lamps_along(scene.lights, VISIBLE_GLOSSY, -1, density, origin, wi, t)
 
 
+@wp.func
+def ray_estimate(
+    scene: Scene, split: EnvironmentSplit, r: Receiver, material: SurfaceMaterial, surface: Surface, shared: int,
+    random: wp.array2d[float], i: int,
+) -> float:
+    """Return what a ray brings of the light that a material's lobes reflect: all, or its share of it."""
+    lobes = specular_lobes(material, surface, r.wo)
+    wi = sample_lobes(lobes, wp.vec2(random[i, 4], random[i, 5]), random[i, 6])
+    density = lobes_pdf(lobes, wi)
+    if density <= 0.0:
+        return 0.0
+    light = ray_light(scene, split, r, wp.where(shared == 1, density, 0.0), wi)
+    return light[1] * lobes_value(material, lobes, wi)[1] / density
+
+
 @wp.kernel
 def find_both(
     # In:
@@ -107,14 +124,11 @@ def find_both(
             f = lobes_value(p.material, lobes, s.wi)
             terms = light_terms(scene, split, r.options, p, choice.candidate, s)
             light_out[i] = wp.vec2(f[1] * s.radiance[1] / s.pdf, terms.specular[1]) / choice.chance
-    ray_out[i] = wp.vec2(0.0, 0.0)
-    wi = sample_lobes(lobes, wp.vec2(random[i, 4], random[i, 5]), random[i, 6])
-    density = lobes_pdf(lobes, wi)
-    if density > 0.0:
-        value = lobes_value(p.material, lobes, wi)[1] / density
-        whole = ray_light(scene, split, r, 0.0, wi)
-        part = ray_light(scene, split, r, density, wi)
-        ray_out[i] = wp.vec2(whole[1], part[1]) * value
+    # All of it is by rays of both lobes, the share by those that are traced: of a coat alone on a rough base.
+    drawn = sampled_material(r.options.reflection, p.material)
+    ray_out[i] = wp.vec2(
+        ray_estimate(scene, split, r, p.material, p.surface, 0, random, i),
+        ray_estimate(scene, split, r, drawn, p.surface, 1, random, i))
 
 
 @wp.kernel
