@@ -33,8 +33,10 @@ from .wide_loads import load_corner, load_instance, load_normal
 
 # GBuffer.hit[0] where the lean kernel has left a pixel to the full one.
 LEFT = wp.constant(-2)
-# Tokuyoshi and Kaplanyan 2021: variance of a pixel's filter [px^2] and the largest widening of alpha squared.
-FILTER_VARIANCE = wp.constant(0.15915494)
+# Tokuyoshi and Kaplanyan 2021: variance of a pixel's filter [px^2] and the largest widening of alpha squared. An eighth
+# of the published 1 / (2 pi): the mean over jittered frames filters the rest as it is, without the tails of a wider GGX
+# lobe, which blurred highlights over many pixels.
+FILTER_VARIANCE = wp.constant(0.02)
 WIDENING_MAX = wp.constant(0.18)
 # A footprint seen more aslant than this grows no further.
 COSINE_MIN = wp.constant(0.1)
@@ -132,7 +134,10 @@ def store_surface(
     if not is_finite3(normal):
         normal = point.geometric_normal
     material = SurfaceMaterial()
-    added = widening(view.camera, scene.geometry, point, depth)
+    added = float(0.0)
+    if view.rest == 0:
+        # At rest many frames see all of the pixel.
+        added = widening(view.camera, scene.geometry, point, depth)
     material.roughness = widened(albedo.roughness, added)
     material = fit_lobe(scene.tables, albedo, cosine, material)
     material.f90 = material.f90 * mean_component(weight)
