@@ -36,8 +36,8 @@ BLOCK_SIZES = dict.fromkeys(
      "gbuffer_behind", "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials",
      "cache_lights", "cache_programs", "direct_candidates", "direct_shadow", "direct_shade", "probe_interpolate",
      "reproject", "probe_blend", "probe_gather", "probe_light", "reflection_probes",
-     "reflection_choice", "reflection_lean", "reflection_materials", "reflection_refract", "reflection_start",
-     "reflection_tail", "reflection_trace"),
+     "reflection_choice", "reflection_choice_glossy", "reflection_lean", "reflection_materials", "reflection_refract",
+     "reflection_start", "reflection_tail", "reflection_trace"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
 

@@ -276,6 +276,7 @@ class Pipeline:
             "sun in the world": ("no part of it is bright enough", self.split.share == 0.0),
             "shadow rays of hits": ("nothing shines", lights.class_count == 0),
             "chains of mirrors": ("no mirror and no glass", not what.mirrors),
+            "highlights in mirrors": ("nothing glossy is lit", not what.glossy or lights.class_count == 0),
             "full node machine": ("all materials are plain", lean.surface and lean.flat and lean.transparency),
         }
         for name, (reason, is_absent) in absent.items():
@@ -322,7 +323,7 @@ class Pipeline:
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
-            self.cache.deterministic, self.cache.is_settled(phase))
+            self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy)
         self._note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()
         for each in traced + gathering:

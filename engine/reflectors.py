@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
+from ..kernels.reflection_chain import MIRROR_ROUGHNESS
 from .program import Program
 from .report_realtime import closures
 
@@ -25,18 +26,21 @@ class Reflectors:
     """Whether any is glass"""
     scatters: bool = False
     """Whether any scatters light from behind"""
+    glossy: bool = False
+    """Whether any shows highlights of lights: reflects, but neither as a mirror alone nor as glass alone"""
 
 
 def find_reflectors(programs: Iterable[Program]) -> Reflectors:
     """Return what the materials with these programs do; what varies may be anything."""
-    sharpest, refracts, scatters = math.inf, False, False
+    sharpest, refracts, scatters, glossy = math.inf, False, False, False
     for program in programs:
         for kind, arguments in closures(program):
             sharpest = min([sharpest, *roughnesses(kind, arguments)])
             refracts |= kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION) or (
                 kind == kernel_types.CLOSURE_PRINCIPLED and arguments[codes.ARG_TRANSMISSION] != 0.0)
             scatters |= is_translucent(kind, arguments)
-    return Reflectors(sharpest, refracts, scatters)
+            glossy |= is_glossy(kind, arguments)
+    return Reflectors(sharpest, refracts, scatters, glossy)
 
 
 def is_translucent(kind: int, arguments: list[float | None]) -> bool:
@@ -44,6 +48,18 @@ def is_translucent(kind: int, arguments: list[float | None]) -> bool:
     if kind == kernel_types.CLOSURE_PRINCIPLED:
         return arguments[codes.ARG_THIN_WALL] != 0.0 and arguments[codes.ARG_SUBSURFACE] != 0.0
     return kind == kernel_types.CLOSURE_TRANSLUCENT
+
+
+def is_glossy(kind: int, arguments: list[float | None]) -> bool:
+    """Return whether rays that meet a closure may end there and leave a reflecting lobe; over mirrors they go on."""
+    if kind == kernel_types.CLOSURE_GLASS or not list(roughnesses(kind, arguments)):
+        return False
+    roughness, coat = arguments[codes.ARG_ROUGHNESS], 0.0
+    whole = kind == kernel_types.CLOSURE_GLOSSY
+    if kind == kernel_types.CLOSURE_PRINCIPLED:
+        coat = arguments[codes.ARG_COAT]
+        whole = 1.0 in (arguments[codes.ARG_METALLIC], arguments[codes.ARG_TRANSMISSION])
+    return coat != 0.0 or not whole or roughness is None or roughness >= MIRROR_ROUGHNESS
 
 
 def roughnesses(kind: int, arguments: list[float | None]) -> Iterator[float]:

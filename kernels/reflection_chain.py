@@ -26,6 +26,7 @@ from .reflection_glass import (
     sample_transmission,
     trapped_albedo,
 )
+from .reflection_highlights import BEHIND_MAX, HIGHLIGHT_ALBEDO, HIGHLIGHT_DENSITY, highlight_lobe, pack_lobe
 from .reflection_lights import emitter_ray_share, world_ray_share
 from .reflection_rays import (
     DIMENSION_DIRECTION,
@@ -217,6 +218,12 @@ def end_ray(
         before = sane(before - mirrored)
     total = behind + before
     share = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
+    if rays.glossy == 1:
+        rays.lobe[slot] = wp.uint64(0)
+        if share < BEHIND_MAX and paths.pdf[slot] > HIGHLIGHT_DENSITY:
+            lobe = highlight_lobe(albedo, wp.where(branch.whole == 1, wp.vec3(0.0, 0.0, 0.0), mirrored), branch.chance)
+            if mean_component(wp.cw_mul(paths.throughput[slot], lobe.albedo)) > HIGHLIGHT_ALBEDO:
+                rays.lobe[slot] = pack_lobe(lobe)
     total = sane(total / branch.chance)
     vertices.reflectance[slot] = wp.vec4(total[0], total[1], total[2], share)
     if max_component(total) > 0.0:
@@ -338,4 +345,6 @@ def meet_surface(
     else:
         if inside:
             albedo = as_cached(bsdf, albedo, point.wo)
+            albedo.reflected = wp.vec3(0.0, 0.0, 0.0)
+            albedo.coat = 0.0
         end_ray(point, albedo, lobe.specular, bsdf.normal, branch, rays, paths, vertices, slot)

@@ -59,9 +59,9 @@ def choose_reflection_lights(
     scene: Scene,
     world: wp.array[wp.vec3],
     grid: HashGrid,
-    rays: ReflectionRays,
     candidates: int,
     # Out:
+    rays_out: ReflectionRays,
     paths_out: Paths,
     vertices_out: Vertices,
 ):
@@ -81,7 +81,7 @@ def choose_reflection_lights(
     point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
     normal = unpack_normal(vertices_out.normal[slot])
     weighed = grid.weighed
-    if rays.found[slot] == FOUND_DIRECT:
+    if rays_out.found[slot] == FOUND_DIRECT:
         weighed = 0
         vertices_out.cell[slot] = NO_CELL
     seed = paths_out.seed[slot]

@@ -81,6 +81,12 @@ class ReflectionRays:
     """Per ray"""
     found: wp.array[wp.uint8]
     """Per ray: FOUND_*"""
+    glossy: int
+    """1: hits show highlights, and the rest is there"""
+    lobe: wp.array[wp.uint64]
+    """Per ray: reflection_highlights.pack_lobe of the hit in which it ended; 0: none"""
+    highlight: wp.array[float]
+    """Per ray: what the lobe makes of the light sample, over what matte light does"""
 
 
 @wp.func

@@ -54,11 +54,19 @@ def exact_cell(grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, d
     return cell
 
 
+@wp.struct
+class HitLight:
+    """Irradiance / pi at a hit."""
+
+    direct: wp.vec3
+    indirect: wp.vec3
+
+
 @wp.func
 def hit_light(
     view: View, grid: HashGrid, paths: Paths, vertices: Vertices, rays: ReflectionRays, slot: int, own_light: int,
     jitter: int,
-) -> wp.vec3:
+) -> HitLight:
     """Return irradiance / pi at a ray's hit.
 
     One shadow ray is noise that sharp reflections show while the camera moves, so until it has rested for a while they
@@ -73,7 +81,10 @@ def hit_light(
     # A lobe narrower than a cell would show it.
     wide = lobe_width(paths.pdf[slot], length) > size
     if rays.found[slot] == FOUND_DIRECT:
-        return rgb(paths.radiance[slot])
+        only = HitLight()
+        only.direct = rgb(paths.radiance[slot])
+        only.indirect = wp.vec3(0.0, 0.0, 0.0)
+        return only
     own = wp.clamp((float(view.rest) - OWN_START) / (OWN_END - OWN_START), 0.0, 1.0)
     if wide:
         own = float(0.0)
@@ -99,7 +110,24 @@ def hit_light(
             rays.found[slot] = FOUND_CELL
     else:
         cell = vertices.cell[slot]
-    return direct + indirect_light(grid, view, cell, position, normal, direction, seed)
+    light = HitLight()
+    light.direct = direct
+    light.indirect = indirect_light(grid, view, cell, position, normal, direction, seed)
+    return light
+
+
+@wp.func
+def store_sample(
+    view: View, paths: Paths, vertices: Vertices, rays: ReflectionRays, samples: ReflectionSamples, slot: int,
+    found: wp.vec3,
+):
+    """Write the sample of a ray that has found that light."""
+    light = found * view.exposure
+    if not is_finite3(light):
+        light = wp.vec3(0.0, 0.0, 0.0)
+    light = wp.vec3(wp.clamp(light[0], 0.0, HALF_MAX), wp.clamp(light[1], 0.0, HALF_MAX),
+                    wp.clamp(light[2], 0.0, HALF_MAX))
+    samples.radiance[rays.block[slot]] = pack_halves(rgba(light, vertices.emission[slot][3]))
 
 
 @wp.kernel
@@ -129,10 +157,6 @@ def resolve_reflections(
     reflectance = rgb(vertices.reflectance[slot])
     if max_component(reflectance) > 0.0:
         arriving = hit_light(view, grid, paths, vertices, rays_out, slot, own_light, jitter)
-        light = light + wp.cw_mul(paths.throughput[slot], wp.cw_mul(reflectance, arriving))
-    light = light * view.exposure
-    if not is_finite3(light):
-        light = wp.vec3(0.0, 0.0, 0.0)
-    light = wp.vec3(wp.clamp(light[0], 0.0, HALF_MAX), wp.clamp(light[1], 0.0, HALF_MAX),
-                    wp.clamp(light[2], 0.0, HALF_MAX))
-    samples_out.radiance[rays_out.block[slot]] = pack_halves(rgba(light, vertices.emission[slot][3]))
+        light = light + wp.cw_mul(
+            paths.throughput[slot], wp.cw_mul(reflectance, arriving.direct + arriving.indirect))
+    store_sample(view, paths, vertices, rays_out, samples_out, slot, light)

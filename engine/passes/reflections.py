@@ -20,6 +20,7 @@ from ...kernels import (
     gather_further,
     gather_start,
     reflection_choice,
+    reflection_choice_glossy,
     reflection_debug,
     reflection_lamps,
     reflection_lean,
@@ -27,6 +28,7 @@ from ...kernels import (
     reflection_place,
     reflection_refract,
     reflection_resolve,
+    reflection_resolve_glossy,
     reflection_screen,
     reflection_start,
     reflection_tail,
@@ -126,6 +128,8 @@ class RayScene:
     """Whether frames shall be the same in every run"""
     settled: bool = False
     """Whether cells take the light of the rays' hits in the frame after (RadianceCachePass.is_settled)"""
+    glossy: bool = False
+    """Whether any material shows highlights (Reflectors.glossy)"""
 
     @property
     def needs_full(self) -> bool:
@@ -175,11 +179,11 @@ class ReflectionPass:
         self._room: tuple | None = None
         self._gbuffer: dict[int, GBuffer] = {}
 
-    def _fit(self, filtered: bool) -> None:
+    def _fit(self, filtered: bool, glossy: bool) -> None:
         """Allocate rays, one for each block."""
-        if self._room == (self.blocks, filtered):
+        if self._room == (self.blocks, filtered, glossy):
             return
-        self._room = (self.blocks, filtered)
+        self._room = (self.blocks, filtered, glossy)
         count = self.blocks
         self.paths, self.vertices = Paths(), Vertices()
         for arrays, size in (
@@ -189,6 +193,8 @@ class ReflectionPass:
         self._fill(self.vertices, VERTEX_ARRAYS, count)
         self._fill(self.vertices, BOUNCE_ARRAYS, 1)
         self._fill(self.rays, {"block": int, "found": wp.uint8}, count)
+        self.rays.glossy = int(glossy)
+        self._fill(self.rays, {"lobe": wp.uint64, "highlight": float}, count if glossy else 1)
         self.queue = make_queue(count, self.device)
         self.all = WorkList(self.queue, self.rays.rank[count - 1 : count])
         """All rays, from the first slot on"""
@@ -218,7 +224,8 @@ class ReflectionPass:
             grid: The radiance cache's cells, ready for this scene.
             after: Branches of the graph that make cells before, where their order is to be fixed.
         """
-        self._fit(what.filtered)
+        lit = what.scene.lights.class_count > 0 and self.settings.hit_lighting
+        self._fit(what.filtered, what.glossy and lit and self.lobe != int(LOBE_DIFFUSE))
         self._gbuffer[parity], self._grid = gbuffer, grid
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays
@@ -345,9 +352,9 @@ class ReflectionPass:
         scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
         with graph.section(self._section("hits")):
             candidates = 1 if what.programs else CANDIDATES
-            graph.launch(
-                reflection_choice.choose_reflection_lights, blocks,
-                [scene, what.world, grid, self.rays, candidates], [paths, vertices])
+            choose = reflection_choice_glossy.choose_glossy_lights if self.rays.glossy else (
+                reflection_choice.choose_reflection_lights)
+            graph.launch(choose, blocks, [scene, what.world, grid, candidates], [self.rays, paths, vertices])
         with graph.section(self._section("shadow rays")):
             record_shadow_rays(
                 graph, scene, paths, 0, blocks, self.queue, self.lit, self.layered, self.left, filtered=what.filtered,
@@ -363,8 +370,10 @@ class ReflectionPass:
         if self._late:
             self._record_sums(graph, views, grid)
         with graph.section(self._section("samples")):
+            resolve = reflection_resolve_glossy.resolve_glossy_reflections if self.rays.glossy else (
+                reflection_resolve.resolve_reflections)
             graph.launch(
-                reflection_resolve.resolve_reflections, self.blocks,
+                resolve, self.blocks,
                 [views, self.options, grid, int(self.settings.hit_lighting), int(self.settings.jitter), self.paths,
                  self.vertices], [self.rays, self.samples])
 

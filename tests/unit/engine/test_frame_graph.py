@@ -62,7 +62,8 @@ def addresses(values, slots=None):
 
 
 CELL_KERNELS = {
-    "insert_vertices", "accumulate_light", "choose_cache_lights", "choose_reflection_lights", "start_bounces",
+    "insert_vertices", "accumulate_light", "choose_cache_lights", "choose_reflection_lights", "choose_glossy_lights",
+    "start_bounces",
     "gather_bounces", "follow_near_hits", "balance_bounces", "find_beyond", "spread_cells", "spread_light",
     "mark_sources", "continue_bounces"}
 """They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there.
@@ -72,14 +73,14 @@ last two have the marks for themselves.
 """
 
 CELL_READERS = {
-    "insert_vertices", "choose_cache_lights", "choose_reflection_lights", "follow_near_hits", "gather_bounces",
-    "balance_bounces"}
+    "insert_vertices", "choose_cache_lights", "choose_reflection_lights", "choose_glossy_lights", "follow_near_hits",
+    "gather_bounces", "balance_bounces"}
 """They make cells or look at their light, and may find it as it was before `update_cells` or after."""
 
 
 def may_share_cells(a, b):
     """Return whether two kernels may use the radiance cache's cells side by side."""
-    return {a, b} <= CELL_KERNELS | {"resolve_rays", "resolve_reflections"} or (
+    return {a, b} <= CELL_KERNELS | {"resolve_rays", "resolve_reflections", "resolve_glossy_reflections"} or (
         "update_cells" in (a, b) and not CELL_READERS.isdisjoint({a, b}))
 
 

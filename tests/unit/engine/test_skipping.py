@@ -73,7 +73,7 @@ class Feature:
 
 FEATURES = {
     "glossy reflections": Feature(
-        "reflections", ball(metal(0.3)), ball(MATTE), ("start_reflections", "look_up_probes", "resolve_reflections"),
+        "reflections", ball(metal(0.3)), ball(MATTE), ("start_reflections", "look_up_probes", "resolve_glossy"),
         ("Reflection rays", "Reflection denoising"), ("reflection rays",)),
     "a coat": Feature(
         "reflections", ball(COATED), ball(MATTE), ("start_reflections",), ("Reflection rays",),
@@ -83,6 +83,12 @@ FEATURES = {
         ("Refraction rays", "Refraction denoising"), ("refraction rays",)),
     "a mirror": Feature(
         "chains of mirrors", ball(metal(0.0)), ball(metal(0.4)), ("_further",), scene=room(metal(0.4))),
+    "highlights in mirrors": Feature(
+        "highlights in mirrors", ball(metal(0.4)), ball(metal(0.1)), ("choose_glossy_lights", "resolve_glossy"),
+        scene=room(metal(0.1))),
+    "highlights of lights": Feature(
+        "highlights in mirrors", SceneDelta(lights=[LAMP]), SceneDelta(lights=[]), ("choose_glossy", "resolve_glossy"),
+        scene=room(metal(0.4), lights=(), background=0.0)),
     "transparency": Feature(
         "alpha layers", ball(scenes.transparent(0.5, color=0.5)), ball(MATTE), ("layer", "filter_primary")),
     "an emissive mesh": Feature(
