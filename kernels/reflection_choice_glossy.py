@@ -152,7 +152,7 @@ def choose_light(
             paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=168)
 def choose_glossy_lights(
     # In:
     first: int,
