@@ -306,17 +306,17 @@ class DeviceScene:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
         table, old = self.table, self.plan
         groups, group_index = filtered_groups(table, self.materials)
+        ranges = self._ranges()
+        self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         self.plan = InstancePlan(
             mesh_keys=table.mesh_keys, mesh_index=np.where(self.drawn, table.mesh_index, -1), filtered_slots=groups,
-            group_index=group_index, low=self.low, high=self.high)
-        ranges = self._ranges()
+            group_index=group_index, low=self.low, high=self.high, scattering=self.material_table.scattering(table))
         self.rows, self._moved_rows = instance_rows(table, ranges, self.origin), np.zeros(0, np.int64)
         counts = np.array([r.triangle_count for r in ranges], np.int64)
         self.triangle_count = int(counts[table.mesh_index[self.drawn]].sum())
         self._emitting = np.array([
             any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
             for keys in table.material_sets], bool)
-        self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
         self.instance_materials = self._overwrite(
             self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
@@ -336,7 +336,7 @@ class DeviceScene:
             self.instances = self._overwrite(self.instances, self.rows, types.Instance)
 
     def _upload_instances(self) -> None:
-        self.structures.fill(self.rows, self.plan)
+        self.structures.fill(self.rows, self.plan, self.store)
         self._write_instances()
 
     def _drop_unused_meshes(self) -> None:

@@ -18,6 +18,7 @@ from ..kernels.types import (
     MATERIAL_LEAN_FLAT,
     MATERIAL_LEAN_TRANSPARENCY,
     MATERIAL_PLAIN,
+    MATERIAL_SUBSURFACE,
     MATERIAL_TRANSPARENCY,
     Material,
     Materials,
@@ -27,6 +28,7 @@ from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
 from .scene import CameraData, CameraKind, InstanceTable, MaterialData
+from .subsurface import SubsurfaceUse, subsurface_flags, subsurface_use
 
 __all__ = ["PRINCIPLED_DEFAULTS", "MaterialTable", "attribute_names", "default_material", "materials_in_use"]
 
@@ -97,6 +99,8 @@ class MaterialTable:
         """What the lean node machine can run, of the materials in use"""
         self.reflectors = Reflectors()
         """What the materials in use reflect and refract"""
+        self.subsurface = SubsurfaceUse()
+        """What they scatter below the surface"""
         self._programs: dict[Hashable, tuple[Program, int]] = {}
         self._used: frozenset[Hashable] | None = None
         self.indices: dict[Hashable, int] = {}
@@ -109,6 +113,12 @@ class MaterialTable:
     def index(self, key: Hashable) -> int:
         """Return a material's index, that of the default material for unknown keys."""
         return self.indices.get(key, 0)
+
+    def scattering(self, table: InstanceTable) -> np.ndarray:
+        """Return which instances have a material that scatters light below the surface: bool [N]."""
+        below = {key for key, (_, flags) in self._programs.items() if flags & MATERIAL_SUBSURFACE}
+        sets = np.array([not below.isdisjoint(keys) for keys in table.material_sets], bool)
+        return sets[table.material_set_index] if below else np.zeros(len(table.material_set_index), bool)
 
     def build(
         self,
@@ -172,6 +182,7 @@ class MaterialTable:
         self._used = used
         programs, flags = zip(*(self._programs[key] for key in used), strict=True) if used else ((), ())
         self.reflectors = find_reflectors(programs)
+        self.subsurface = subsurface_use(flags)
         self.lean = LeanPrograms(
             *(all(each & bit for each in flags)
               for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)))
@@ -230,6 +241,7 @@ def material_flags(data: MaterialData) -> int:
     if data.has_emission:
         flags |= MATERIAL_EMISSION
         flags |= MATERIAL_CONSTANT_EMISSION if data.constant_emission is not None else 0
+    flags |= subsurface_flags(data.program)
     flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
     flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0

@@ -21,5 +21,8 @@ def path_options(settings: RenderSettings, scene: DeviceScene, passes: bool) -> 
     options.filtered = int(scene.structures.has_filtered)
     options.programs = int(scene.has_light_programs)
     lean = scene.material_table.lean
-    options.all_lean, options.all_plain, options.lean_layers = lean.surface, lean.plain, lean.transparency
+    below = scene.material_table.subsurface
+    options.subsurface, options.subsurface_bump = below.scatters, below.bumped
+    options.all_lean, options.all_plain = (all_of and not below.scatters for all_of in (lean.surface, lean.plain))
+    options.lean_layers = lean.transparency
     return options

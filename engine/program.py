@@ -13,7 +13,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
-from ..kernels import types as kernel_types
+from .closure_arguments import ARGUMENTS, closure_code, slot_count
 from .program_fold import fold
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, flat_sinks, lay_out
 
@@ -27,26 +27,10 @@ SHIFTED_INPUTS = {
 }
 """Inputs that change from point to point of a surface, as far as bump mapping is concerned"""
 
-ARGUMENTS = {
-    "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
-    "roughness": codes.ARG_ROUGHNESS, "ior": codes.ARG_IOR, "tangent": codes.ARG_TANGENT,
-    "anisotropic": codes.ARG_ANISOTROPIC, "anisotropic_rotation": codes.ARG_ANISOTROPIC_ROTATION,
-    "diffuse_roughness": codes.ARG_DIFFUSE_ROUGHNESS, "metallic": codes.ARG_METALLIC,
-    "specular_level": codes.ARG_SPECULAR_LEVEL, "specular_tint": codes.ARG_SPECULAR_TINT,
-    "transmission": codes.ARG_TRANSMISSION, "subsurface": codes.ARG_SUBSURFACE, "coat": codes.ARG_COAT,
-    "coat_roughness": codes.ARG_COAT_ROUGHNESS, "coat_ior": codes.ARG_COAT_IOR, "coat_tint": codes.ARG_COAT_TINT,
-    "coat_normal": codes.ARG_COAT_NORMAL, "sheen": codes.ARG_SHEEN, "sheen_roughness": codes.ARG_SHEEN_ROUGHNESS,
-    "sheen_tint": codes.ARG_SHEEN_TINT, "emission": codes.ARG_EMISSION, "thin_wall": codes.ARG_THIN_WALL,
-}
-"""Names of a closure's arguments and their slots"""
-
 TANGENT_PREFIX = ".tangent:"
 
 NEUTRAL_AT_ZERO = {"MIX", "MULTIPLY", "ADD", "SUBTRACT", "DIFFERENCE", "DARKEN", "LIGHTEN", "LINEAR_LIGHT"}
 """Blend types that return their first colour untouched for a factor of 0; the others may clamp it"""
-
-SIMPLE_SLOTS = 9
-"""Slots that BSDFs other than the Principled one pass"""
 
 
 def operation_code(family: str, name: str) -> int:
@@ -311,15 +295,19 @@ class ProgramBuilder:
         """Cut a hole into the picture's alpha."""
         self._sink(codes.OP_HOLDOUT, 0, (weight,), "s")
 
-    def closure(self, kind: str, weight, *, multiscatter: bool = False, **arguments) -> None:
-        """Add a BSDF (names of kernels.types.CLOSURE_*) with its arguments by the names in ARGUMENTS."""
+    def closure(self, kind: str, weight, *, multiscatter: bool = False, subsurface_method: str = "",
+                **arguments) -> None:
+        """Add a BSDF (names of kernels.types.CLOSURE_*) with its arguments by the names in ARGUMENTS.
+
+        `subsurface_method` (names of codes.SUBSURFACE_*) goes with the arguments that begin like it.
+        """
         weight = self.constant(weight)
         if scalar(weight) == 0.0:
             return
-        slots: list[Value] = [self.constant(0.0)] * (codes.ARGUMENT_COUNT if kind == "PRINCIPLED" else SIMPLE_SLOTS)
+        slots: list[Value] = [self.constant(0.0)] * slot_count(kind, subsurface_method)
         for name, value in {"weight": weight, **arguments}.items():
             slots[ARGUMENTS[name]] = self.constant(value)
-        sub = getattr(kernel_types, "CLOSURE_" + kind) | (codes.CLOSURE_MULTISCATTER if multiscatter else 0)
+        sub = closure_code(kind, multiscatter, subsurface_method)
         self.sinks.append(Sink(codes.OP_CLOSURE, sub, tuple(v.index for v in slots), "s"))
 
     # Results.

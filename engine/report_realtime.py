@@ -17,6 +17,7 @@ from .program import Program
 from .report import Report, ReportKind
 from .scene import MaterialData
 from .settings import Integrator, RenderSettings
+from .subsurface import subsurface_flags
 
 __all__ = ["SceneFacts", "realtime_approximations", "scene_facts"]
 
@@ -30,18 +31,21 @@ class SceneFacts:
     """Reflections stretched along a tangent"""
     refractive: int = 0
     """Refraction (glass, transmission)"""
+    scattering: int = 0
+    """Light scattered below the surface"""
     linked_unsampled: int = 0
     """Emission that is not sampled as light, of objects that light some objects alone"""
 
 
 def scene_facts(materials: Iterable[MaterialData], linked: Iterable[MaterialData] = ()) -> SceneFacts:
     """Return the facts about all materials in a scene; `linked`: those of objects that light some objects alone."""
-    counts = {"anisotropic": 0, "refractive": 0}
+    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0}
     reflective = []
     for material in materials:
         facts = list(material_facts(material.program))
         for fact in {fact for fact in facts if isinstance(fact, str)}:
             counts[fact] += 1
+        counts["scattering"] += subsurface_flags(material.program) != 0
         lobes = [fact for fact in facts if isinstance(fact, float)]
         if lobes:
             reflective.append(max(lobes))
@@ -83,6 +87,9 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "",
                    f"refracted light is followed over at most {settings.reflections.bounces} more surfaces{until}",
                    facts.refractive)
+    if facts.scattering:
+        report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering is drawn as diffuse reflection{until}",
+                   facts.scattering)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",

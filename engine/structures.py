@@ -56,6 +56,8 @@ class InstancePlan:
     low: np.ndarray
     high: np.ndarray
     """float64 [N, 3], bounds in world space"""
+    scattering: np.ndarray
+    """bool [N]: which instances scatter light below their surface"""
 
 
 @dataclass
@@ -120,6 +122,8 @@ class Structures:
         self.bvh_instances = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.mesh_faces = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.local: dict[tuple, _LocalMesh] = {}
+        self.walks: dict[Key, wp.Mesh] = {}
+        """All triangles, in object space, of the meshes below whose surface light is scattered"""
         self.flat: set[int] = set()
         """The instances that are flattened"""
         self.instanced = np.zeros(0, bool)
@@ -141,6 +145,7 @@ class Structures:
             threshold: PerformanceSettings.instancing_threshold.
         """
         self.local.clear()
+        self.walks.clear()
         ranges = [store.ranges[key] for key in plan.mesh_keys]
         drawn = plan.mesh_index >= 0
         counts = np.array([r.triangle_count for r in ranges], np.int64)
@@ -302,6 +307,7 @@ class Structures:
     def update_instances(self, plan: InstancePlan, store: GeometryStore, changed_meshes: set[Key]) -> None:
         """Rebuild the upper level after instances moved or meshes changed."""
         self.local = {key: local for key, local in self.local.items() if key[0] not in changed_meshes}
+        self.walks = {key: mesh for key, mesh in self.walks.items() if key not in changed_meshes}
         self._build_instances(plan, store, moving=True)
         count = int(self.instanced.sum())
         self.description = f"{len(self.flat):,} objects flattened, {count:,} moving or instanced in two levels"
@@ -314,8 +320,23 @@ class Structures:
         geometry.bvh_instances = self.bvh_instances
         geometry.mesh_faces = self.mesh_faces
 
-    def fill(self, rows: np.ndarray, plan: InstancePlan) -> None:
+    def _make_walks(self, plan: InstancePlan, store: GeometryStore) -> np.ndarray:
+        """Build the meshes for walks below surfaces that are missing; return, ascending, the instances with them."""
+        chosen = np.flatnonzero(plan.scattering & (plan.mesh_index >= 0))
+        before, self.walks = self.walks, {}
+        for mesh in np.unique(plan.mesh_index[chosen]).tolist():
+            key = plan.mesh_keys[mesh]
+            r = store.ranges[key]
+            points = store.positions.array[r.vertex_start:r.vertex_start + r.vertex_count]
+            self.walks[key] = before.get(key) or self._object_mesh(
+                wp.clone(points), r.local_triangles, self._static_builder())
+        return chosen
+
+    def fill(self, rows: np.ndarray, plan: InstancePlan, store: GeometryStore) -> None:
         """Write the structures' ids into the structured array of instances."""
+        rows["walk_mesh"] = 0
+        for i in self._make_walks(plan, store).tolist():
+            rows["walk_mesh"][i] = self.walks[plan.mesh_keys[plan.mesh_index[i]]].id
         rows["opaque_bvh"] = 0
         rows["filtered_bvh"] = 0
         for i in self._under_bvh(plan).tolist():

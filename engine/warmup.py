@@ -86,6 +86,7 @@ from ..kernels import (
     reference,
     reference_lean,
     reference_plain,
+    reference_subsurface,
     reflection_atrous,
     reflection_blocks,
     reflection_choice,
@@ -112,6 +113,7 @@ from ..kernels import (
     shadow_layers,
     shadow_layers_lean,
     shadow_lights,
+    subsurface_walk,
     tracing,
     triangle_split,
     wide_bvh_build,
@@ -138,7 +140,8 @@ KERNEL_MODULES = (
     reflection_trace, reflection_lamps, reflection_screen, reflection_resolve, reflection_start, reflection_probes,
     reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean,
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
-    denoise_guides, denoise_guides_lean, reference_lean, reference_plain, first_hits,
+    subsurface_walk, denoise_guides, denoise_guides_lean, reference_lean, reference_plain, reference_subsurface,
+    first_hits,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -3,7 +3,8 @@
 
 The layers are those of Cycles 5.2 (svm/closure.h, CLOSURE_BSDF_PRINCIPLED_ID): sheen over coat over emission over
 metal, transmission, dielectric reflection and diffuse. Each takes its share by its estimated albedo and leaves the
-rest to what lies below. Subsurface scattering is drawn as diffuse reflection of its colour.
+rest to what lies below. Light that is scattered below the surface is a part of the diffuse lobe here: real-time frames
+draw it so, and the path tracer takes it out again (subsurface.py).
 """
 
 from __future__ import annotations

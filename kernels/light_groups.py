@@ -241,6 +241,29 @@ def add_surface_met(
 
 
 @wp.kernel
+def note_exit_lights(
+    # In:
+    scene: Scene,
+    tables: GroupTables,
+    paths: Paths,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    groups_out: GroupLight,
+):
+    """Find the group of the light that shadow rays go to from where paths come out of surfaces."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        groups_out.known[path] = rgb(paths.radiance[path])
+        if paths.shadow_distance[path] != 0.0:
+            groups_out.shadow_group[path] = shadow_light_group(scene, tables, paths, path, bounces[0])
+
+
+@wp.kernel
 def add_shadow_light_met(
     # In:
     paths: Paths,

@@ -28,6 +28,7 @@ from .sampling import (
     sample_number,
     sample_pair,
 )
+from .subsurface import without_subsurface
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -148,6 +149,8 @@ def share_first_light(
         if bsdf.pick_sheen > 0.0:
             # Diffuse, as in Cycles.
             sheen = bsdf.sheen
+        # Light of the shadow ray and of a ray reflected here has not been below the surface.
+        bsdf = without_subsurface(bsdf, paths.closure[path]).bsdf
         arriving = split_out.throughput[path]
         split_out.diffuse_color[path] = wp.cw_mul(arriving, albedo.diffuse + albedo.translucent + sheen)
         split_out.glossy_color[path] = wp.cw_mul(arriving, albedo.specular - sheen)

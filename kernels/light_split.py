@@ -152,6 +152,27 @@ def keep_lamp_light(
             split_out.direct[path] = rgb(paths.radiance[path])
 
 
+@wp.kernel
+def keep_exit_light(
+    # In:
+    paths: Paths,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    split_out: LightSplit,
+):
+    """Keep what paths have gathered that were scattered below their first surface: light from there is diffuse."""
+    i = wp.tid()
+    if bounces[0] == 0:
+        while i < count[0]:
+            path = queue[i]
+            i = i + stride
+            split_out.direct[path] = rgb(paths.radiance[path])
+            split_out.path_share[path] = wp.vec4(1.0, 1.0, 1.0, 1.0)
+
+
 @wp.func
 def lobe_share(share: wp.vec4, lobe: int) -> wp.vec3:
     """Return the share of a path's light that a lobe (PASS_*) has; those of all three add up to 1."""

@@ -13,7 +13,7 @@ from .light_linking import lamp_counts
 from .lights import environment_chance, lamp_chance
 from .nodes import evaluate_world
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
-from .types import LIGHT_HITTABLE, MATERIAL_LEAN, Scene
+from .types import LIGHT_HITTABLE, MATERIAL_LEAN, MATERIAL_SUBSURFACE, Scene
 from .wide_loads import load_material_flags
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -101,5 +101,6 @@ def shade_misses(
                 going_on = True
                 if not may_emit(scene, material):
                     going_on = survives(options, paths_out, path, bounce)
-                if going_on and (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_LEAN) == 0:
+                flags = load_material_flags(scene.materials.materials, material)[3]
+                if going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN:
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -80,6 +80,19 @@ def read_principled(closure: Closure, materials: Materials, registers: wp.array[
 
 
 @wp.func
+def read_subsurface(
+    closure: Closure, materials: Materials, registers: wp.array[wp.vec4], method: int, first: int
+) -> Closure:
+    """Return `closure` with how it scatters light below the surface."""
+    c = closure
+    c.subsurface_method = method
+    c.subsurface_radius = xyz(argument(materials, registers, first, codes.ARG_SUBSURFACE_RADIUS))
+    c.subsurface_ior = argument(materials, registers, first, codes.ARG_SUBSURFACE_IOR)[0]
+    c.subsurface_anisotropy = argument(materials, registers, first, codes.ARG_SUBSURFACE_ANISOTROPY)[0]
+    return c
+
+
+@wp.func
 def read_closure(
     point: ShadingPoint, materials: Materials, registers: wp.array[wp.vec4], sub: int, first: int, sums: Closure
 ) -> Closure:
@@ -103,6 +116,9 @@ def read_closure(
         c.sheen_roughness = c.roughness
     if c.kind == CLOSURE_PRINCIPLED:
         c = read_principled(c, materials, registers, first)
+        method = (sub & codes.CLOSURE_SUBSURFACE) >> codes.CLOSURE_SUBSURFACE_SHIFT
+        if method != 0:
+            c = read_subsurface(c, materials, registers, method, first)
     c.emission = sums.emission
     c.transparency = sums.transparency
     c.holdout = sums.holdout

@@ -11,6 +11,8 @@ import warp as wp
 REGISTER_COUNT = wp.constant(32)
 ARGUMENT_COUNT = wp.constant(24)
 """Slots of a closure's arguments"""
+SUBSURFACE_ARGUMENT_COUNT = wp.constant(27)
+"""The same where light is scattered below the surface (CLOSURE_SUBSURFACE)"""
 
 # Reserved constants: filled by engine/materials.py, the same for all programs.
 CONSTANT_ORIGIN = wp.constant(0)
@@ -318,6 +320,16 @@ NORMAL_BLENDER_AXES = wp.constant(8)
 
 # OP_CLOSURE: the sub-operation's low byte is the kind (types.CLOSURE_*), then flags.
 CLOSURE_MULTISCATTER = wp.constant(1 << 8)
+CLOSURE_SUBSURFACE_SHIFT = wp.constant(9)
+CLOSURE_SUBSURFACE = wp.constant(3 << 9)
+"""How the Principled BSDF scatters light below the surface: one of SUBSURFACE_*"""
+SUBSURFACE_NONE = wp.constant(0)
+SUBSURFACE_WALK = wp.constant(1)
+"""Random walk: the radius is the mean free path"""
+SUBSURFACE_LEGACY = wp.constant(2)
+"""Random walk with the radii of Blender before 5.2"""
+SUBSURFACE_SKIN = wp.constant(3)
+"""The same, whose radii grow darker colours' narrower"""
 
 # Slots of a closure's arguments, three to an instruction word; simple BSDFs use the first nine.
 ARG_WEIGHT = wp.constant(0)
@@ -344,3 +356,8 @@ ARG_SHEEN_ROUGHNESS = wp.constant(20)
 ARG_SHEEN_TINT = wp.constant(21)
 ARG_EMISSION = wp.constant(22)
 ARG_THIN_WALL = wp.constant(23)
+# Of closures with CLOSURE_SUBSURFACE alone.
+ARG_SUBSURFACE_RADIUS = wp.constant(24)
+ARG_SUBSURFACE_IOR = wp.constant(25)
+"""0: that of the reflection"""
+ARG_SUBSURFACE_ANISOTROPY = wp.constant(26)

@@ -24,7 +24,13 @@ LAYERED = wp.constant(4)
 LAYERED_SHADOWS = wp.constant(5)
 FIRST_HITS = wp.constant(6)
 """Of camera rays, where light passes are asked for"""
-LIST_COUNT = wp.constant(7)
+BELOW = wp.constant(7)
+"""Paths that go below a surface"""
+EXITS = wp.constant(8)
+"""Those of them that come out"""
+LAYERED_EXITS = wp.constant(9)
+"""Those whose shadow rays a triangle that needs a test stands in the way of"""
+LIST_COUNT = wp.constant(10)
 
 
 @wp.kernel

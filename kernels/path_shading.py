@@ -56,7 +56,7 @@ from .types import (
 )
 from .wide_loads import load_instance, load_material_flags
 
-__all__ = ["is_held_out", "set_shadow_ray", "shade_hit"]
+__all__ = ["begin_hit", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
 
 # Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
 LIGHT_CANDIDATES = wp.constant(2)
@@ -283,25 +283,40 @@ def is_held_out(scene: Scene, point: ShadingPoint, paths: Paths, path: int) -> b
 
 
 @wp.func
+def begin_hit(
+    frame: FrameData, scene: Scene, options: Options, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int,
+) -> bool:
+    """Add what a hit emits and record a first one; return whether the path is scattered there."""
+    bounce = point.ray_depth
+    if max_component(bsdf.emission) > 0.0:
+        add_emission(scene, options, point, bsdf.emission, paths, path)
+    if may_emit(scene, point.material) and not survives(options, paths, path, bounce):
+        return False
+    if options.passes == 1 and bounce == 0:
+        record_first_hit(scene, frame, point, bsdf, paths, path)
+    return not (options.max_bounces > 0 and bounce >= options.max_bounces)
+
+
+@wp.func
+def light_hit(scene: Scene, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int):
+    """Sample one light, if there are any."""
+    if scene.lights.class_count > 0:
+        dimension = DIMENSION_FIRST_BOUNCE + point.ray_depth * DIMENSIONS_PER_BOUNCE
+        refill = sample_number(paths.seed[path], paths.index[path], dimension + DIMENSION_LIGHT_CHOICE)
+        sample_direct_light(scene, point, bsdf, refill, dimension, paths, path)
+
+
+@wp.func
 def shade_hit(
     frame: FrameData, scene: Scene, options: Options, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int,
 ):
     """Add what a hit emits, sample one light, sample the BSDF and set up the next ray of a path that ends otherwise."""
-    bounce = point.ray_depth
     seed = paths.seed[path]
     index = paths.index[path]
-    dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-    if max_component(bsdf.emission) > 0.0:
-        add_emission(scene, options, point, bsdf.emission, paths, path)
-    if may_emit(scene, point.material) and not survives(options, paths, path, bounce):
+    dimension = DIMENSION_FIRST_BOUNCE + point.ray_depth * DIMENSIONS_PER_BOUNCE
+    if not begin_hit(frame, scene, options, point, bsdf, paths, path):
         return
-    if options.passes == 1 and bounce == 0:
-        record_first_hit(scene, frame, point, bsdf, paths, path)
-    if options.max_bounces > 0 and bounce >= options.max_bounces:
-        return
-    if scene.lights.class_count > 0:
-        refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
-        sample_direct_light(scene, point, bsdf, refill, dimension, paths, path)
+    light_hit(scene, point, bsdf, paths, path)
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
     choice = sample_number(seed, index, dimension + DIMENSION_LOBE)
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))

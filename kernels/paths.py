@@ -50,6 +50,10 @@ class Options:
     """1: it runs those with glass in them too, if there are any"""
     lean_layers: int
     """1: it runs all transparency programs"""
+    subsurface: int
+    """1: some scatter light below the surface"""
+    subsurface_bump: int
+    """1: some of those bend normals"""
 
 
 @wp.struct

@@ -12,7 +12,7 @@ import warp as wp
 from .node_lean import lean_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
-from .types import MATERIAL_LEAN, FrameData, Scene
+from .types import MATERIAL_LEAN, MATERIAL_SUBSURFACE, FrameData, Scene
 from .wide_loads import load_material_flags
 
 # On the processor functions are inlined whatever their size: a call copies the array descriptors of scene and paths,
@@ -30,7 +30,7 @@ def shade_path(frames: wp.array[FrameData], scene: Scene, options: Options, path
         return False
     point = hit_point(scene, paths, path, paths.state[path])
     starts = load_material_flags(scene.materials.materials, point.material)
-    if (starts[3] & MATERIAL_LEAN) == 0:
+    if (starts[3] & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN:
         return False
     paths.state[path] = ENDED
     if is_held_out(scene, point, paths, path):

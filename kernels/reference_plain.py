@@ -11,7 +11,7 @@ import warp as wp
 from .node_lean import plain_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
-from .types import MATERIAL_PLAIN, FrameData, Scene
+from .types import MATERIAL_PLAIN, MATERIAL_SUBSURFACE, FrameData, Scene
 from .wide_loads import load_material_flags
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -41,7 +41,7 @@ def shade_plain_paths(
         if has_hit(paths_out, path):
             point = hit_point(scene, paths_out, path, paths_out.state[path])
             starts = load_material_flags(scene.materials.materials, point.material)
-            if (starts[3] & MATERIAL_PLAIN) == 0:
+            if (starts[3] & (MATERIAL_PLAIN | MATERIAL_SUBSURFACE)) != MATERIAL_PLAIN:
                 others_out[wp.atomic_add(other_count_out, 0, 1)] = path
             else:
                 paths_out.state[path] = ENDED

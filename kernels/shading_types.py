@@ -62,7 +62,13 @@ class Closure:
     transmission: float
     subsurface: float
     subsurface_anisotropy: float
-    """Of thin walls: -1 reflects all, 1 transmits all"""
+    """Mean cosine of scattering below the surface; of thin walls: -1 reflects all, 1 transmits all"""
+    subsurface_method: int
+    """One of node_codes.SUBSURFACE_*; 0: nothing is scattered below the surface"""
+    subsurface_radius: wp.vec3
+    """How far light goes below the surface [m], as the method has it"""
+    subsurface_ior: float
+    """With which light enters; 0: as it is reflected"""
     coat: float
     coat_roughness: float
     coat_ior: float

@@ -63,6 +63,10 @@ MATERIAL_LEAN_FLAT = wp.constant(32)
 """The same of its flat program: the surface program without normal maps and bump"""
 MATERIAL_PLAIN = wp.constant(64)
 """The lean machine runs its surface program, of which plain glass may be a part (node_lean.plain_bsdf)"""
+MATERIAL_SUBSURFACE = wp.constant(128)
+"""Scatters light below the surface: the path tracer shades it by kernels of its own (reference_subsurface.py)"""
+MATERIAL_SUBSURFACE_BUMP = wp.constant(256)
+"""The same with a normal map or bump, which shades light where it comes out too"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 
@@ -99,8 +103,9 @@ class Instance:
     generated_size: wp.vec3
     receives: int
     """Bit 0, and one for each set of receivers that it is in"""
-    padding: wp.uint64
-    """Rows of a multiple of 16 bytes, see wide_loads.py"""
+    walk_mesh: wp.uint64
+    """Object-space wp.Mesh of all triangles where light is scattered below the surface, else 0. Rows have a multiple of
+    16 bytes, see wide_loads.py"""
 
 
 @wp.struct

@@ -76,8 +76,6 @@ def principled(graph: Graph, node, weight: Value) -> None:
     layered = not (is_zero(coat) and is_zero(sheen))
     build.emit(color, strength, weight, layered=layered)
     emission = build.vector("MULTIPLY", color, strength) if layered else 0.0
-    if not is_zero(graph.value(node, "Subsurface Weight")):
-        graph.tell(node, "has subsurface scattering, which is drawn as diffuse reflection")
     if not is_zero(graph.value(node, "Thin Film Thickness")):
         graph.tell(node, "has a thin film, which is not drawn")
     anisotropic = graph.value(node, "Anisotropic")
@@ -91,15 +89,62 @@ def principled(graph: Graph, node, weight: Value) -> None:
         specular_level=graph.value(node, "Specular IOR Level", 0.5),
         specular_tint=graph.value(node, "Specular Tint", (1.0, 1.0, 1.0)),
         transmission=graph.value(node, "Transmission Weight"),
-        subsurface=graph.value(node, "Subsurface Weight"),
         coat=coat, coat_roughness=graph.value(node, "Coat Roughness"), coat_ior=graph.value(node, "Coat IOR", 1.5),
         coat_tint=graph.value(node, "Coat Tint", (1.0, 1.0, 1.0)),
         # A coat that isn't bent itself follows the base.
         coat_normal=graph.linked_or(node, "Coat Normal", lambda: build.constant(0.0)),
         sheen=sheen, sheen_roughness=graph.value(node, "Sheen Roughness", 0.5),
         sheen_tint=graph.value(node, "Sheen Tint", (1.0, 1.0, 1.0)),
-        emission=emission, thin_wall=graph.value(node, "Thin Wall"),
+        emission=emission, thin_wall=graph.value(node, "Thin Wall"), **subsurface(graph, node),
     )
+
+
+def scattering(graph: Graph, node, method: str, names: str) -> dict[str, object]:
+    """Return how a node scatters light below the surface, as arguments of a closure; none without a radius.
+
+    Args:
+        graph: The node's.
+        node: Principled BSDF or Subsurface Scattering.
+        method: The name of the node's enumeration of methods.
+        names: What its sockets' names begin with.
+    """
+    build = graph.builder
+    radius = build.vector("SCALE", graph.value(node, names + "Radius"), 0.0, graph.value(node, names + "Scale"))
+    chosen = getattr(node, method)
+    if is_zero(radius):
+        return {}
+    if chosen == 'BURLEY':
+        graph.tell(node, "has Christensen-Burley subsurface scattering, which is drawn by a random walk")
+    # Before 5.2 there was no legacy walk: the walk was that one.
+    walks = 'RANDOM_WALK_LEGACY' in node.bl_rna.properties[method].enum_items
+    name = "SKIN" if chosen == 'RANDOM_WALK_SKIN' else "WALK" if chosen == 'RANDOM_WALK' and walks else "LEGACY"
+    return {"subsurface_method": name, "subsurface_radius": radius,
+            "subsurface_anisotropy": graph.value(node, names + "Anisotropy")}
+
+
+def subsurface(graph: Graph, node) -> dict[str, object]:
+    """Return what a Principled BSDF scatters below its surface or, thin, lets through, as arguments of a closure."""
+    weight = graph.value(node, "Subsurface Weight")
+    if is_zero(weight):
+        return {"subsurface": weight}
+    found = scattering(graph, node, "subsurface_method", "Subsurface ")
+    if found.get("subsurface_method") == "SKIN":
+        found["subsurface_ior"] = graph.value(node, "Subsurface IOR", 1.4)
+    return {"subsurface": weight, **found}
+
+
+def subsurface_scattering(graph: Graph, node, weight: Value) -> None:
+    """Subsurface Scattering: a Principled BSDF that reflects nothing else."""
+    build = graph.builder
+    found = scattering(graph, node, "falloff", "")
+    if found:
+        found["subsurface_ior"] = graph.value(node, "IOR", 1.4)
+    # Its roughness is the square of the other's, and only light that enters knows of it.
+    roughness = build.math("SQRT", build.math("CLAMP", graph.value(node, "Roughness", 1.0), 0.0, 1.0))
+    build.closure(
+        "PRINCIPLED", weight, color=graph.value(node, "Color"), normal=perturbed_normal(graph, node),
+        roughness=roughness, ior=1.5, specular_tint=1.0, coat_ior=1.5, coat_tint=1.0, sheen_tint=1.0, subsurface=1.0,
+        **found)
 
 
 def diffuse(graph: Graph, node, weight: Value) -> None:
@@ -239,7 +284,7 @@ SHADERS: dict[str, Callable[[Graph, object, Value], None]] = {
     "ShaderNodeBsdfToon": as_diffuse("a toon shader"),
     "ShaderNodeBsdfHair": as_diffuse("a hair shader"),
     "ShaderNodeBsdfHairPrincipled": as_diffuse("a hair shader"),
-    "ShaderNodeSubsurfaceScattering": as_diffuse("subsurface scattering"),
+    "ShaderNodeSubsurfaceScattering": subsurface_scattering,
     "ShaderNodeBsdfTransparent": transparent,
     "ShaderNodeBsdfRayPortal": ray_portal,
     "ShaderNodeEmission": emission,

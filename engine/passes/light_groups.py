@@ -63,10 +63,17 @@ class SceneGroups:
         """Return what adds the surfaces and the world that rays meet."""
         return [Step(light_groups.add_surface_met, [scene, self.tables, paths, rounds], changes=False, outputs=[light])]
 
+    def steps_before_exit_shadows(
+        self, paths: Paths, light: GroupLight, scene: Scene, rounds: wp.array,
+    ) -> list[Step]:
+        """Return what notes where the shadow rays of paths that come out of surfaces go to."""
+        return [Step(light_groups.note_exit_lights, [scene, self.tables, paths, rounds], "exits", changes=False,
+                     outputs=[light])]
+
     @staticmethod
-    def steps_after_shadows(paths: Paths, light: GroupLight) -> list[Step]:
-        """Return what adds the light of shadow rays."""
-        return [Step(light_groups.add_shadow_light_met, [paths], changes=False, outputs=[light])]
+    def steps_after_shadows(paths: Paths, light: GroupLight, over: str = "living") -> list[Step]:
+        """Return what adds the light of the shadow rays of a list of paths."""
+        return [Step(light_groups.add_shadow_light_met, [paths], over, changes=False, outputs=[light])]
 
 
 def make_group_light(groups: int, count: int, device: str) -> GroupLight:

@@ -21,8 +21,8 @@ from ..history import arrays_of
 from .composite import LIGHT_PASSES, PASS_LOBES, PASS_PARTS, light_passes
 from .wavefront import Step
 
-__all__ = ["SPLIT_BYTES", "LobeFilm", "make_split", "steps_after_shading", "steps_after_shadows",
-           "steps_before_shading"]
+__all__ = ["SPLIT_BYTES", "LobeFilm", "make_split", "steps_after_exit_shadows", "steps_after_shading",
+           "steps_after_shadows", "steps_before_shading"]
 
 SPLIT_ARRAYS = {
     "ray": wp.vec4, "throughput": wp.vec3, "diffuse_color": wp.vec3, "glossy_color": wp.vec3,
@@ -57,6 +57,11 @@ def steps_after_shading(paths: Paths, split: LightSplit, scene: Scene, rounds: w
 def steps_after_shadows(paths: Paths, split: LightSplit, rounds: wp.array) -> list[Step]:
     """Return what keeps the light of the first hits' shadow rays."""
     return [Step(light_split.keep_lamp_light, [paths, rounds], changes=False, outputs=[split])]
+
+
+def steps_after_exit_shadows(paths: Paths, split: LightSplit, rounds: wp.array) -> list[Step]:
+    """Return what keeps the light of the shadow rays where paths come out of the first surface."""
+    return [Step(light_split.keep_exit_light, [paths, rounds], "exits", changes=False, outputs=[split])]
 
 
 class LobeFilm:

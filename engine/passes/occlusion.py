@@ -11,7 +11,8 @@ from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch
 from ..history import copy_struct
-from .reference import Band, ReferencePass, hit_steps, shadow_steps
+from .reference import Band, ReferencePass, hit_steps
+from .shadow_steps import shadow_steps
 from .wavefront import Step, Wavefront
 
 __all__ = ["Occlusion"]

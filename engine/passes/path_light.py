@@ -111,6 +111,19 @@ class PathLight:
             steps += self.film.scene_groups.steps_after_shading(self.paths, self.groups, scene, rounds)
         return steps
 
+    def steps_before_exit_shadows(self, scene: Scene, rounds: wp.array) -> list[Step]:
+        """Return what comes when the shadow rays of paths that come out of surfaces are known."""
+        if self.groups is None:
+            return []
+        return self.film.scene_groups.steps_before_exit_shadows(self.paths, self.groups, scene, rounds)
+
+    def steps_after_exit_shadows(self, rounds: wp.array) -> list[Step]:
+        """Return what comes when those have brought their light."""
+        steps = [] if self.split is None else light_split.steps_after_exit_shadows(self.paths, self.split, rounds)
+        if self.groups is not None:
+            steps += self.film.scene_groups.steps_after_shadows(self.paths, self.groups, "exits")
+        return steps
+
     def steps_after_shadows(self, rounds: wp.array) -> list[Step]:
         """Return what comes when shadow rays have brought their light."""
         steps = [] if self.split is None else light_split.steps_after_shadows(self.paths, self.split, rounds)

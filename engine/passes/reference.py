@@ -17,7 +17,6 @@ import numpy as np
 import warp as wp
 
 from ...kernels import (
-    decided_layers,
     film,
     flat_paths,
     layers,
@@ -29,26 +28,25 @@ from ...kernels import (
     reference,
     reference_lean,
     reference_plain,
-    shadow_layers,
-    shadow_layers_lean,
-    shadow_lights,
     tracing,
 )
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
-from ..structures import decides_layers, is_flat
+from ..structures import is_flat
 from .path_light import LightFilm
+from .shadow_steps import shadow_steps
+from .subsurface import below_step, exit_steps
 from .wavefront import Step, Wavefront
 
-__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps", "shadow_steps"]
+__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
 
 CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
-PATH_BYTES = 508
+PATH_BYTES = 528
 """Of one path's states and places in lists, its closure the largest of them"""
 
 MEMORY_SHARE = 0.25
@@ -321,31 +319,16 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
     if not options.all_plain:
-        steps += [Step(materials.evaluate_materials, [scene], over="full_hits"),
-                  Step(reference.shade_paths, shading, over="full_hits", fills=("next",))]
+        steps.append(Step(materials.evaluate_materials, [scene], over="full_hits"))
+        if options.subsurface == 1:
+            steps.append(below_step(shading))
+        else:
+            steps.append(Step(reference.shade_paths, shading, over="full_hits", fills=("next",)))
     if options.passes == 1:
         steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
     if light:
         steps += light.steps_after_shading(scene, slot.rounds)
     steps += shadow_steps(slot, scene, options)
-    return steps + light.steps_after_shadows(slot.rounds) if light else steps
-
-
-def shadow_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
-    """Return what traces the paths' shadow rays and adds their light."""
-    shadows, steps = [scene, options, slot.rounds], []
-    if options.filtered == 1 and decides_layers(scene):
-        steps.append(Step(decided_layers.trace_decided_shadows, shadows))
-    elif is_flat(scene):
-        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, fills=("layered_shadows",)))
-    else:
-        steps.append(Step(tracing.trace_shadows, shadows))
-        if options.filtered == 1:
-            steps += [Step(tracing.trace_shadow_layers, shadows),
-                      Step(path_lists.list_layered_shadows, [slot.paths], fills=("layered_shadows",), changes=False)]
-    if options.filtered == 1 and not decides_layers(scene):
-        weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays
-        steps.append(Step(weaken, shadows, over="layered_shadows"))
-    if options.programs == 1:
-        steps.append(Step(shadow_lights.shade_lights, shadows))
-    return steps
+    if light:
+        steps += light.steps_after_shadows(slot.rounds)
+    return steps + exit_steps(slot, scene, options) if options.subsurface == 1 else steps

@@ -26,7 +26,8 @@ from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
 __all__ = ["Step", "Wavefront", "make_paths"]
 
 LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
-         "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS}
+         "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS,
+         "below": path_lists.BELOW, "exits": path_lists.EXITS, "layered_exits": path_lists.LAYERED_EXITS}
 """Beside "living", the list of each round"""
 
 PROCESSOR_THREADS = 1

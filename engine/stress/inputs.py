@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..closure_arguments import ARGUMENTS
 from ..errors import BurnishError
-from ..program import ARGUMENTS, ProgramBuilder
+from ..program import ProgramBuilder
 from ..scene import CameraData, ColorEncoding, ImageData, InstanceTable, LightData, MeshData, WorldData
 from ..settings import Integrator
 from .cases import BOTH, Case, Trial, luminance
@@ -153,6 +154,8 @@ def break_material(kind: str, name: str, values: list[Any]) -> StressScene:
             return builder.vector("MULTIPLY", (values[i],) * 3, builder.attribute("Col"))
 
         arguments = {"color": 0.5, "roughness": 0.3}
+        if name.startswith("subsurface_"):
+            arguments |= {"subsurface": 1.0, "subsurface_method": "WALK", "subsurface_radius": 0.1}
         base = principled if kind == "PRINCIPLED" else partial(material, kind)
         if name == "emission_strength":
             scene.delta.materials[f"thing {i}"] = base(emission=values[i], **arguments)

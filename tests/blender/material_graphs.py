@@ -67,13 +67,30 @@ def principled_closure(harness: Harness) -> dict:
         "Diffuse Roughness": 0.14, "Specular IOR Level": 0.15, "Anisotropic": 0.16,
         "Anisotropic Rotation": 0.17, "Transmission Weight": 0.18, "Coat Weight": 0.19, "Coat Roughness": 0.21,
         "Coat IOR": 1.22, "Sheen Weight": 0.23, "Sheen Roughness": 0.24, "Subsurface Weight": 0.25,
+        "Subsurface Radius": (1.0, 2.0, 3.0), "Subsurface Scale": 0.26, "Subsurface IOR": 1.27,
+        "Subsurface Anisotropy": 0.28,
         "Emission Color": (1.0, 2.0, 3.0, 1.0), "Emission Strength": 2.0, **({"Thin Wall": True} if thin_walls else {}),
     }
-    result = harness.machine(new_material(node_graph("BsdfPrincipled", values=values, distribution='GGX')))
+    result = harness.machine(new_material(node_graph(
+        "BsdfPrincipled", values=values, distribution='GGX', subsurface_method='RANDOM_WALK_SKIN')))
     closure = result["closures"][0]
     found = {name: closure[name].tolist() for name in closure.dtype.names}
     found["nee_emission"] = result["emission"][0].tolist()
     found["thin_walls"] = thin_walls
+    return found
+
+
+def scattering_closures(harness: Harness) -> dict[str, dict]:
+    """Return what each method of the Subsurface Scattering node, and of a Principled BSDF without radius, comes to."""
+    graphs = {method: node_graph("SubsurfaceScattering", falloff=method, values={
+        "Color": (0.1, 0.2, 0.3, 1.0), "Scale": 0.5, "Radius": (1.0, 2.0, 3.0), "IOR": 1.3, "Roughness": 0.16,
+        "Anisotropy": 0.4}) for method in ('BURLEY', 'RANDOM_WALK', 'RANDOM_WALK_SKIN')}
+    graphs["none"] = node_graph("BsdfPrincipled", values={"Subsurface Weight": 1.0, "Subsurface Scale": 0.0})
+    found = {}
+    for name, graph in graphs.items():
+        closure = harness.machine(new_material(graph))["closures"][0]
+        found[name] = {field: closure[field].tolist() for field in closure.dtype.names}
+    found["legacy"] = bpy.app.version < (5, 2, 0)
     return found
 
 
@@ -147,7 +164,7 @@ def material_flags(harness: Harness) -> dict[str, tuple]:
 def report_of_everything(harness: Harness) -> str:
     """Return the report of a material that links every node type there is to a shader."""
     material = new_material(node_graph("BsdfPrincipled", values={
-        "Subsurface Weight": 0.5, "Thin Film Thickness": 100.0}), "Everything")
+        "Subsurface Weight": 0.5, "Thin Film Thickness": 100.0}, subsurface_method='BURLEY'), "Everything")
     nodes, links = material.node_tree.nodes, material.node_tree.links
     output = next(node for node in nodes if node.bl_idname == "ShaderNodeOutputMaterial")
     total = output.inputs["Surface"].links[0].from_socket

@@ -50,7 +50,7 @@ def found(run_nodes: Callable) -> dict:
     """Return everything else that tests look at, from one child process, each with a harness of its own."""
     pairs = ", ".join(f"{name!r}: {name}(Harness())" for name in (
         "compare_worlds", "principled_closure", "material_flags", "report_of_everything", "lamp_factors",
-        "oversized_material", "default_closures"))
+        "oversized_material", "default_closures", "scattering_closures"))
     return run_nodes(f"finish({{{pairs}}})")
 
 
@@ -86,14 +86,30 @@ def test_principled_sockets(found: dict):
         "metallic": 0.11, "roughness": 0.12, "ior": 1.3, "diffuse_roughness": 0.14, "specular_level": 0.15,
         "anisotropic": 0.16, "anisotropic_rotation": 0.17, "transmission": 0.18, "coat": 0.19,
         "coat_roughness": 0.21, "coat_ior": 1.22, "sheen": 0.23, "sheen_roughness": 0.24, "subsurface": 0.25,
+        "subsurface_ior": 1.27, "subsurface_anisotropy": 0.28, "subsurface_method": 3,
     }
     assert {name: closure[name] for name in expected} == pytest.approx(expected)
+    assert closure["subsurface_radius"] == pytest.approx([0.26, 0.52, 0.78])
     assert closure["thin_wall"] == int(closure["thin_walls"])
     assert closure["weight"] == pytest.approx([0.7] * 3)
     assert closure["transparency"] == pytest.approx([0.3] * 3)
     assert closure["emission"] == [0.0] * 3
     assert closure["emission_layered"] == pytest.approx([2.0, 4.0, 6.0])
     assert closure["nee_emission"] == pytest.approx([1.4, 2.8, 4.2])
+
+
+def test_subsurface_scattering(found: dict):
+    """Hand the radius over by the method; none without a radius."""
+    closures = found["scattering_closures"]
+    numbers = {"BURLEY": 2, "RANDOM_WALK": 2 if closures["legacy"] else 1, "RANDOM_WALK_SKIN": 3}
+    for method, number in numbers.items():
+        closure = closures[method]
+        assert closure["kind"] == 1 and closure["subsurface_method"] == number, method
+        assert closure["subsurface_radius"] == pytest.approx([0.5, 1.0, 1.5])
+        expected = {"subsurface": 1.0, "subsurface_ior": 1.3, "roughness": 0.4, "subsurface_anisotropy": 0.4,
+                    "specular_level": 0.0}
+        assert {name: closure[name] for name in expected} == pytest.approx(expected)
+    assert closures["none"]["subsurface"] == 1.0 and closures["none"]["subsurface_method"] == 0
 
 
 @pytest.mark.parametrize(("graph", "flags"), [

@@ -19,7 +19,10 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 
-EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, linked_unsampled=5)
+EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, linked_unsampled=5,
+                        scattering=6)
+
+BELOW = {"subsurface_method": "WALK", "subsurface_radius": 0.1}
 
 
 def material(kind: str, **arguments) -> MaterialData:
@@ -55,6 +58,9 @@ def realtime(samples: int = 1024, **changes) -> RenderSettings:
     ("PRINCIPLED", {"roughness": 0.75, "transmission": 0.1}, SceneFacts(refractive=1)),
     ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0}, SceneFacts()),
     ("PRINCIPLED", {"roughness": 0.75, "subsurface": 1.0, "thin_wall": 1.0}, SceneFacts()),
+    ("PRINCIPLED", {"subsurface": 1.0, **BELOW}, SceneFacts(scattering=1)),
+    ("PRINCIPLED", {"subsurface": "UV", "thin_wall": "UV", **BELOW}, SceneFacts(scattering=1)),
+    ("PRINCIPLED", {"subsurface": 1.0, "thin_wall": 1.0, **BELOW}, SceneFacts()),
 ])
 def test_facts_follow_the_closures(kind: str, arguments: dict, expected: SceneFacts) -> None:
     """Find what a BSDF has, and count what varies as if it had it."""
@@ -83,11 +89,11 @@ def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5]
+    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5, 6]
     text = " ".join(entry.message for entry in entries)
-    for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field"):
+    for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field", "subsurface scattering"):
         assert word in text, word
-    assert text.count("until the picture has rested for 12 frames") == 5
+    assert text.count("until the picture has rested for 12 frames") == 6
 
 
 @pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
@@ -120,4 +126,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 5 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 6 and all(words in entry.message for entry in entries), entries

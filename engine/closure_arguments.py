@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Names of a closure's arguments, and how a closure instruction is written: how many slots, which flags."""
+
+from __future__ import annotations
+
+from ..kernels import node_codes as codes
+from ..kernels import types as kernel_types
+
+__all__ = ["ARGUMENTS", "closure_code", "slot_count"]
+
+ARGUMENTS = {
+    "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
+    "roughness": codes.ARG_ROUGHNESS, "ior": codes.ARG_IOR, "tangent": codes.ARG_TANGENT,
+    "anisotropic": codes.ARG_ANISOTROPIC, "anisotropic_rotation": codes.ARG_ANISOTROPIC_ROTATION,
+    "diffuse_roughness": codes.ARG_DIFFUSE_ROUGHNESS, "metallic": codes.ARG_METALLIC,
+    "specular_level": codes.ARG_SPECULAR_LEVEL, "specular_tint": codes.ARG_SPECULAR_TINT,
+    "transmission": codes.ARG_TRANSMISSION, "subsurface": codes.ARG_SUBSURFACE, "coat": codes.ARG_COAT,
+    "coat_roughness": codes.ARG_COAT_ROUGHNESS, "coat_ior": codes.ARG_COAT_IOR, "coat_tint": codes.ARG_COAT_TINT,
+    "coat_normal": codes.ARG_COAT_NORMAL, "sheen": codes.ARG_SHEEN, "sheen_roughness": codes.ARG_SHEEN_ROUGHNESS,
+    "sheen_tint": codes.ARG_SHEEN_TINT, "emission": codes.ARG_EMISSION, "thin_wall": codes.ARG_THIN_WALL,
+    "subsurface_radius": codes.ARG_SUBSURFACE_RADIUS, "subsurface_ior": codes.ARG_SUBSURFACE_IOR,
+    "subsurface_anisotropy": codes.ARG_SUBSURFACE_ANISOTROPY,
+}
+"""Names of a closure's arguments and their slots"""
+
+SIMPLE_SLOTS = 9
+"""Slots that BSDFs other than the Principled one pass"""
+
+
+def slot_count(kind: str, subsurface_method: str) -> int:
+    """Return how many slots a closure passes: its kind of kernels.types.CLOSURE_*, its method as of closure_code."""
+    if subsurface_method:
+        return int(codes.SUBSURFACE_ARGUMENT_COUNT)
+    return int(codes.ARGUMENT_COUNT) if kind == "PRINCIPLED" else SIMPLE_SLOTS
+
+
+def closure_code(kind: str, multiscatter: bool, subsurface_method: str) -> int:
+    """Return a closure instruction's sub-operation; method: one of codes.SUBSURFACE_*, empty for none."""
+    method = getattr(codes, "SUBSURFACE_" + subsurface_method) if subsurface_method else 0
+    flags = (codes.CLOSURE_MULTISCATTER if multiscatter else 0) | method << codes.CLOSURE_SUBSURFACE_SHIFT
+    return getattr(kernel_types, "CLOSURE_" + kind) | flags

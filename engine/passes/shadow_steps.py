@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shadow rays of the path tracer: which kernels find what stands in their way, by what the scene has."""
+
+from __future__ import annotations
+
+from ...kernels import (
+    decided_layers,
+    flat_paths,
+    path_lists,
+    shadow_layers,
+    shadow_layers_lean,
+    shadow_lights,
+    tracing,
+)
+from ...kernels.paths import Options
+from ...kernels.types import Scene
+from ..structures import decides_layers, is_flat
+from .wavefront import Step, Wavefront
+
+__all__ = ["shadow_steps"]
+
+
+def shadow_steps(
+    slot: Wavefront, scene: Scene, options: Options, over: str = "living", layered: str = "layered_shadows",
+) -> list[Step]:
+    """Return what traces the shadow rays of the paths of a list and adds their light.
+
+    Args:
+        slot: States of the paths.
+        scene: The device scene.
+        options: Settings for the kernels.
+        over: The list.
+        layered: List for those that transparent triangles stand in the way of, empty so far.
+    """
+    shadows, steps = [scene, options, slot.rounds], []
+    if options.filtered == 1 and decides_layers(scene):
+        steps.append(Step(decided_layers.trace_decided_shadows, shadows, over))
+    elif is_flat(scene):
+        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, over, fills=(layered,)))
+    else:
+        steps.append(Step(tracing.trace_shadows, shadows, over))
+        if options.filtered == 1:
+            steps += [Step(tracing.trace_shadow_layers, shadows, over),
+                      Step(path_lists.list_layered_shadows, [slot.paths], over, fills=(layered,), changes=False)]
+    if options.filtered == 1 and not decides_layers(scene):
+        weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays
+        steps.append(Step(weaken, shadows, layered))
+    if options.programs == 1:
+        steps.append(Step(shadow_lights.shade_lights, shadows, over))
+    return steps
