@@ -19,7 +19,8 @@ ARGUMENTS = {
     "coat_normal": codes.ARG_COAT_NORMAL, "sheen": codes.ARG_SHEEN, "sheen_roughness": codes.ARG_SHEEN_ROUGHNESS,
     "sheen_tint": codes.ARG_SHEEN_TINT, "emission": codes.ARG_EMISSION, "thin_wall": codes.ARG_THIN_WALL,
     "subsurface_radius": codes.ARG_SUBSURFACE_RADIUS, "subsurface_ior": codes.ARG_SUBSURFACE_IOR,
-    "subsurface_anisotropy": codes.ARG_SUBSURFACE_ANISOTROPY,
+    "subsurface_anisotropy": codes.ARG_SUBSURFACE_ANISOTROPY, "film_thickness": codes.ARG_FILM_THICKNESS,
+    "film_ior": codes.ARG_FILM_IOR,
 }
 """Names of a closure's arguments and their slots"""
 
@@ -27,15 +28,17 @@ SIMPLE_SLOTS = 9
 """Slots that BSDFs other than the Principled one pass"""
 
 
-def slot_count(kind: str, subsurface_method: str) -> int:
-    """Return how many slots a closure passes: its kind of kernels.types.CLOSURE_*, its method as of closure_code."""
+def slot_count(kind: str, subsurface_method: str, *, film: bool) -> int:
+    """Return how many slots a closure passes: its kind of kernels.types.CLOSURE_*, others as of closure_code."""
+    if film:
+        return int(codes.FILM_ARGUMENT_COUNT)
     if subsurface_method:
         return int(codes.SUBSURFACE_ARGUMENT_COUNT)
     return int(codes.ARGUMENT_COUNT) if kind == "PRINCIPLED" else SIMPLE_SLOTS
 
 
-def closure_code(kind: str, multiscatter: bool, subsurface_method: str) -> int:
+def closure_code(kind: str, multiscatter: bool, subsurface_method: str, *, film: bool) -> int:
     """Return a closure instruction's sub-operation; method: one of codes.SUBSURFACE_*, empty for none."""
     method = getattr(codes, "SUBSURFACE_" + subsurface_method) if subsurface_method else 0
-    flags = (codes.CLOSURE_MULTISCATTER if multiscatter else 0) | method << codes.CLOSURE_SUBSURFACE_SHIFT
-    return getattr(kernel_types, "CLOSURE_" + kind) | flags
+    flags = (codes.CLOSURE_MULTISCATTER if multiscatter else 0) | (codes.CLOSURE_FILM if film else 0)
+    return getattr(kernel_types, "CLOSURE_" + kind) | flags | method << codes.CLOSURE_SUBSURFACE_SHIFT

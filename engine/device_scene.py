@@ -27,7 +27,7 @@ from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, Worl
 from .settings import PerformanceSettings
 from .staging import RowWriter
 from .structures import InstancePlan, Structures
-from .tables import albedo_tables
+from .tables import albedo_tables, film_table
 from .textures import TextureStore
 
 __all__ = ["DeviceScene", "SceneChanges"]
@@ -121,6 +121,7 @@ class DeviceScene:
         if delta.full:
             self._forget()
         self.luminance = delta.luminance_weights
+        self.tables.film = film_table(delta.from_xyz, self.device)
         rebuild = delta.full or self.plan is None
         tell("Textures", 0.0)
         with self._timed("textures"):

@@ -12,7 +12,7 @@ from ..kernels.types import CLOSURE_DIFFUSE, CLOSURE_PRINCIPLED
 from .program import Program
 from .program_layout import OPERANDS, Instruction
 
-__all__ = ["LeanPrograms", "is_lean", "is_lean_transparency"]
+__all__ = ["LeanPrograms", "has_film", "is_lean", "is_lean_transparency"]
 
 LEAN_MATH = {
     codes.MATH_ADD, codes.MATH_SUBTRACT, codes.MATH_MULTIPLY, codes.MATH_DIVIDE, codes.MATH_MULTIPLY_ADD,
@@ -39,7 +39,7 @@ LEAN_OPERATIONS: dict[int, Callable[[int], bool]] = {
 SURFACE_OPERATIONS = LEAN_OPERATIONS | {
     codes.OP_NORMAL_MAP: lambda sub: True,
     codes.OP_EMIT: lambda sub: True,
-    codes.OP_CLOSURE: lambda sub: sub & 255 in (CLOSURE_PRINCIPLED, CLOSURE_DIFFUSE),
+    codes.OP_CLOSURE: lambda sub: sub & 255 in (CLOSURE_PRINCIPLED, CLOSURE_DIFFUSE) and not sub & codes.CLOSURE_FILM,
 }
 """The same in surface programs"""
 
@@ -58,6 +58,8 @@ class LeanPrograms:
     transparency: bool = True
     plain: bool = True
     """Surface programs where glass may be a part of the closure"""
+    films: bool = False
+    """Whether any surface has a thin film"""
 
 
 def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:
@@ -74,6 +76,11 @@ def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = Fals
     # The machine stops at a closure, so nothing but its arguments may follow.
     ends = closures[0] + code[closures[0]][2] + 1 == len(code)
     return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0], glass)
+
+
+def has_film(program: Program) -> bool:
+    """Return whether a surface program has a closure with a thin film."""
+    return any(word[0] & 255 == codes.OP_CLOSURE and word[0] >> 16 & codes.CLOSURE_FILM for word in program.surface)
 
 
 def is_lean_transparency(program: Program) -> bool:

@@ -23,7 +23,7 @@ from ..kernels.types import (
     Material,
     Materials,
 )
-from .lean import LeanPrograms, is_lean, is_lean_transparency
+from .lean import LeanPrograms, has_film, is_lean, is_lean_transparency
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
@@ -185,7 +185,8 @@ class MaterialTable:
         self.subsurface = subsurface_use(flags)
         self.lean = LeanPrograms(
             *(all(each & bit for each in flags)
-              for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)))
+              for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)),
+            films=any(has_film(program) for program in programs))
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""

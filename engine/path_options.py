@@ -24,5 +24,5 @@ def path_options(settings: RenderSettings, scene: DeviceScene, passes: bool) -> 
     below = scene.material_table.subsurface
     options.subsurface, options.subsurface_bump = below.scatters, below.bumped
     options.all_lean, options.all_plain = (all_of and not below.scatters for all_of in (lean.surface, lean.plain))
-    options.lean_layers = lean.transparency
+    options.lean_layers, options.films = lean.transparency, lean.films
     return options

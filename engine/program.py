@@ -304,10 +304,11 @@ class ProgramBuilder:
         weight = self.constant(weight)
         if scalar(weight) == 0.0:
             return
-        slots: list[Value] = [self.constant(0.0)] * slot_count(kind, subsurface_method)
+        film = "film_thickness" in arguments
+        slots: list[Value] = [self.constant(0.0)] * slot_count(kind, subsurface_method, film=film)
         for name, value in {"weight": weight, **arguments}.items():
             slots[ARGUMENTS[name]] = self.constant(value)
-        sub = closure_code(kind, multiscatter, subsurface_method)
+        sub = closure_code(kind, multiscatter, subsurface_method, film=film)
         self.sinks.append(Sink(codes.OP_CLOSURE, sub, tuple(v.index for v in slots), "s"))
 
     # Results.

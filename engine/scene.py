@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from .program import Program
+from .sky.image import TO_REC709
 
 __all__ = [
     "AlphaMode", "CameraData", "CameraKind", "ColorEncoding", "FrameMotion", "ImageData", "InstanceTable", "LightData",
@@ -344,5 +345,7 @@ class SceneDelta:
     """None: unchanged; a world that Blender lacks is a black WorldData"""
     luminance_weights: tuple[float, float, float] = (0.2126729, 0.7151522, 0.0721750)
     """Of the working space"""
+    from_xyz: tuple[tuple[float, float, float], ...] = TO_REC709
+    """From CIE XYZ to the working space"""
     extra: dict[str, Any] = field(default_factory=dict)
     """Free for measurements (extraction times)"""

@@ -7,6 +7,7 @@ The file lies beside Warp's compiled kernels; a missing, outdated or damaged one
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,8 +18,10 @@ import warp as wp
 from ..kernels import albedo_tables as kernels
 from ..kernels.types import Tables
 from .device import start_warp
+from .film_colors import Matrix, film_rows
+from .sky.image import TO_REC709
 
-__all__ = ["TABLES_VERSION", "albedo_tables", "compute_tables", "load_tables"]
+__all__ = ["TABLES_VERSION", "albedo_tables", "compute_tables", "film_table", "load_tables"]
 
 TABLES_VERSION = 3
 """Raise it whenever the tables' meaning or values change."""
@@ -119,4 +122,12 @@ def albedo_tables(device: str, path: Path | None = None) -> Tables:
     tables = Tables()
     for name, array in arrays.items():
         setattr(tables, name, wp.array(array, dtype=float, device=device))
+    tables.film = film_table(TO_REC709, device)
     return tables
+
+
+@functools.cache
+def film_table(from_xyz: Matrix, device: str) -> wp.array:
+    """Return the colours of thin films on a device; the same array each time, as kernels may be recorded with it."""
+    start_warp()
+    return wp.array(film_rows(from_xyz), dtype=wp.vec4, device=device)

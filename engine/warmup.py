@@ -84,6 +84,7 @@ from ..kernels import (
     raster,
     raster_resolve,
     reference,
+    reference_film,
     reference_lean,
     reference_plain,
     reference_subsurface,
@@ -140,8 +141,8 @@ KERNEL_MODULES = (
     reflection_trace, reflection_lamps, reflection_screen, reflection_resolve, reflection_start, reflection_probes,
     reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean,
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
-    subsurface_walk, denoise_guides, denoise_guides_lean, reference_lean, reference_plain, reference_subsurface,
-    first_hits,
+    subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
+    reference_subsurface, first_hits,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -342,13 +342,19 @@ def metal_weight(tables: Tables, cos_o: float, roughness: float) -> float:
 
 
 @wp.func
+def reflected_dielectric_cosine(tables: Tables, cos_o: float, roughness: float, eta: float) -> float:
+    """Return the cosine at which a smooth dielectric of an index above 1 reflects what a rough one does."""
+    return look_up_3d(tables.dielectric_c, ior_coordinate(eta), cos_o, roughness)
+
+
+@wp.func
 def reflected_dielectric_weight(tables: Tables, cos_o: float, roughness: float, eta: float) -> float:
     """Return how far from F0 to F90 the albedo of a rough dielectric lies, towards this view."""
     if eta < 1.0:
         # From inside the curve ends at total reflection, which no cosine outside stands for: exact for mirrors alone.
         smooth = schlick_weight(fresnel_dielectric(cos_o, eta)[0], f0_from_ior(eta))
         return wp.lerp(smooth, dielectric_weight(tables, cos_o, roughness, eta), roughness)
-    c = look_up_3d(tables.dielectric_c, ior_coordinate(eta), cos_o, roughness)
+    c = reflected_dielectric_cosine(tables, cos_o, roughness, eta)
     return schlick_weight(fresnel_dielectric(c, eta)[0], f0_from_ior(eta))
 
 

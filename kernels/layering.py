@@ -37,6 +37,7 @@ from .lobe_setup import (
 )
 from .normals import valid_specular_normal
 from .sheen import sheen_albedo, sheen_transform
+from .thin_film import FILM_MIN, film_metal, film_schlick
 from .types import (
     CLOSURE_DIFFUSE,
     CLOSURE_GLASS,
@@ -120,6 +121,8 @@ def add_metal(tables: Tables, closure: Closure, bsdf: Bsdf, weight: wp.vec3, cos
         average = fresnel_f82_average(bsdf.metal_f0, bsdf.metal_b)
         bsdf.metal = wp.cw_mul(bsdf.metal, energy_factor(ggx_albedo(tables, cos_o, roughness), average))
     albedo = mix3(bsdf.metal_f0, wp.vec3(1.0), metal_weight(tables, cos_o, roughness))
+    if bsdf.film_thickness > 0.0:
+        albedo = film_metal(bsdf.film, bsdf.film_thickness, bsdf.film_ior, bsdf.metal_f0, bsdf.metal_b, cos_o)
     bsdf.pick_specular += mean_component(weight) * metallic * mean_component(albedo)
     return bsdf, weight * (1.0 - metallic)
 
@@ -157,13 +160,16 @@ def add_dielectric(tables: Tables, closure: Closure, bsdf: Bsdf, weight: wp.vec3
         eta = ior_from_f0(f0)
         if ior < 1.0:
             eta = 1.0 / eta
-    if eta == 1.0 or mean_component(weight) < WEIGHT_CUTOFF:
+    if (eta == 1.0 and bsdf.film_thickness <= 0.0) or mean_component(weight) < WEIGHT_CUTOFF:
         return bsdf, weight
     roughness = alpha_roughness(bsdf.alpha_x, bsdf.alpha_y)
     bsdf.dielectric_ior = eta
     bsdf.dielectric_f0 = saturate3(wp.max(closure.specular_tint, wp.vec3(0.0)) * f0)
     bsdf.dielectric = weight
     reflectance = mix3(bsdf.dielectric_f0, wp.vec3(1.0), dielectric_weight(tables, cos_o, roughness, eta))
+    if bsdf.film_thickness > 0.0:
+        # Shares of light under a film are those of a smooth one (Cycles, bsdf_microfacet_estimate_albedo).
+        reflectance = film_schlick(bsdf.film, bsdf.film_thickness, bsdf.film_ior, eta, bsdf.dielectric_f0, cos_o)
     albedo = wp.cw_mul(weight, reflectance)
     if closure.multiscatter != 0:
         energy = ggx_albedo(tables, cos_o, roughness)
@@ -325,6 +331,10 @@ def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
     bsdf.specular_normal = valid_specular_normal(point.geometric_normal, point.wo, bsdf.normal)
     bsdf.emission = closure.emission
     bsdf.gain = largest_gain(closure)
+    if closure.film_thickness > FILM_MIN:
+        bsdf.film = tables.film
+        bsdf.film_thickness = closure.film_thickness
+        bsdf.film_ior = wp.max(closure.film_ior, IOR_MIN)
     if closure.kind == CLOSURE_PRINCIPLED:
         bsdf = prepare_principled(tables, closure, point, bsdf)
     else:

@@ -19,6 +19,7 @@ from .fresnel import (
     saturate3,
 )
 from .geometry_math import TWO_PI, max_component, mean_component, normalize_or, safe_sqrt, sqr
+from .thin_film import film_schlick
 from .types import Bsdf, Closure, Tables
 
 # Bsdf.glass_kind
@@ -123,19 +124,26 @@ def add_glass(
             average = wp.cw_mul(reflection, fresnel_generalized_schlick_average(eta, bsdf.glass_f0))
         bsdf.glass = wp.cw_mul(weight, energy_factor(glass_albedo(tables, cos_o, roughness, eta), average))
     f = mix3(bsdf.glass_f0, wp.vec3(1.0), dielectric_weight(tables, cos_o, roughness, eta))
+    if bsdf.film_thickness > 0.0:
+        # Seen from within glass of index n, film and air are what a film and a glass of 1 / n times their indices are.
+        bsdf.glass_film_ior = wp.where(backfacing != 0, bsdf.film_ior / ior, bsdf.film_ior)
+        f = film_schlick(bsdf.film, bsdf.film_thickness, bsdf.glass_film_ior, eta, bsdf.glass_f0, cos_o)
     albedo = wp.cw_mul(f, reflection) + wp.cw_mul(wp.vec3(1.0) - f, transmission)
     bsdf.pick_glass = mean_component(weight) * mean_component(albedo)
     return bsdf
 
 
 @wp.func
-def sheet_passage(r: float, tint: float, path: float) -> float:
-    """Return the transmittance of a sheet whose faces reflect r, between which light passes tint ** path each way."""
+def sheet_passage(r: float, inner: float, tint: float, path: float) -> float:
+    """Return the transmittance of a sheet between whose faces light passes tint ** path each way.
+
+    They reflect r from outside and `inner` from inside.
+    """
     c = wp.pow(tint, path)
-    rest = 1.0 - sqr(r * c)
+    rest = 1.0 - sqr(inner * c)
     if rest <= 0.0:
         return 0.0
-    return c * sqr(1.0 - r) / rest
+    return c * ((1.0 - r) * (1.0 - inner)) / rest
 
 
 @wp.func
@@ -146,12 +154,17 @@ def add_thin_glass(
     """Return the BSDF with an infinitesimally thin sheet: all internal reflections summed (OpenPBR, thin walls)."""
     f = fresnel_dielectric(cos_o, ior)
     r = fresnel_generalized_schlick(cos_o, ior, reflection * f0_from_ior(ior))
+    inner = r
+    if bsdf.film_thickness > 0.0:
+        f0 = saturate3(reflection * f0_from_ior(ior))
+        r = film_schlick(bsdf.film, bsdf.film_thickness, bsdf.film_ior, ior, f0, cos_o)
+        inner = film_schlick(bsdf.film, bsdf.film_thickness, bsdf.film_ior / ior, 1.0 / ior, f0, f[1])
     path = 1.0 / wp.max(f[1], 1.0e-6)
     passed = wp.vec3(0.0)
     internal = wp.vec3(0.0)
     for c in range(3):
-        passed[c] = sheet_passage(r[c], transmission[c], path)
-        internal[c] = passed[c] * r[c] * wp.pow(transmission[c], path)
+        passed[c] = sheet_passage(r[c], inner[c], transmission[c], path)
+        internal[c] = passed[c] * inner[c] * wp.pow(transmission[c], path)
     # Light that passes is refracted twice: Kulla and Conty 2017, p. 40, with the factor 3.4 = 2 * 1.7.
     alpha = sqr(roughness)
     widening = safe_sqrt(3.4 * (ior - 1.0) * sqr(ior - 0.5) / (ior * ior * ior))

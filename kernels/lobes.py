@@ -16,6 +16,7 @@ from .ggx import SPECULAR_ALPHA2, ggx_glass_reflection, ggx_reflection, ggx_refr
 from .lobe_setup import GLASS_REFRACTION, GLASS_THIN
 from .normals import bump_shadowing
 from .sheen import evaluate_sheen
+from .thin_film import film_metal, film_schlick
 from .types import Bsdf, BsdfValue
 
 LOBE_NONE = wp.constant(0)
@@ -56,17 +57,38 @@ def mirrored_below(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def dielectric_reflectance(bsdf: Bsdf, cos_h: float) -> wp.vec3:
+    """Return the Fresnel of the dielectric base."""
+    if bsdf.film_thickness > 0.0:
+        return film_schlick(
+            bsdf.film, bsdf.film_thickness, bsdf.film_ior, bsdf.dielectric_ior, bsdf.dielectric_f0, cos_h)
+    return fresnel_generalized_schlick(cos_h, bsdf.dielectric_ior, bsdf.dielectric_f0)
+
+
+@wp.func
 def base_reflectance(bsdf: Bsdf, cos_h: float) -> wp.vec3:
     """Return the weighted Fresnel of metal and dielectric, which share one GGX lobe."""
     f = wp.vec3(0.0)
     if wp.length_sq(bsdf.metal) > 0.0:
         if bsdf.metal_constant != 0:
             f = bsdf.metal
+        elif bsdf.film_thickness > 0.0:
+            f = wp.cw_mul(bsdf.metal, film_metal(
+                bsdf.film, bsdf.film_thickness, bsdf.film_ior, bsdf.metal_f0, bsdf.metal_b, cos_h))
         else:
             f = wp.cw_mul(bsdf.metal, fresnel_f82(cos_h, bsdf.metal_f0, bsdf.metal_b))
     if wp.length_sq(bsdf.dielectric) > 0.0:
-        f += wp.cw_mul(bsdf.dielectric, fresnel_generalized_schlick(cos_h, bsdf.dielectric_ior, bsdf.dielectric_f0))
+        f += wp.cw_mul(bsdf.dielectric, dielectric_reflectance(bsdf, cos_h))
     return f
+
+
+@wp.func
+def glass_reflectance(bsdf: Bsdf, cos_h: float) -> wp.vec3:
+    """Return the Fresnel of an interface of glass."""
+    if bsdf.film_thickness > 0.0:
+        return film_schlick(
+            bsdf.film, bsdf.film_thickness, bsdf.glass_film_ior, bsdf.glass_ior, bsdf.glass_f0, cos_h)
+    return fresnel_generalized_schlick(cos_h, bsdf.glass_ior, bsdf.glass_f0)
 
 
 @wp.func
@@ -78,7 +100,7 @@ def glass_fresnel(bsdf: Bsdf, cos_h: float):
         r = wp.vec3(0.0)
         t = wp.vec3(wp.where(fresnel_dielectric(cos_h, bsdf.glass_ior)[0] >= 1.0, 0.0, 1.0))
     elif bsdf.glass_kind != GLASS_THIN:
-        f = fresnel_generalized_schlick(cos_h, bsdf.glass_ior, bsdf.glass_f0)
+        f = glass_reflectance(bsdf, cos_h)
         r = wp.cw_mul(r, f)
         t = wp.cw_mul(t, wp.vec3(1.0) - f)
     total = mean_component(r) + mean_component(t)

@@ -119,6 +119,9 @@ def read_closure(
         method = (sub & codes.CLOSURE_SUBSURFACE) >> codes.CLOSURE_SUBSURFACE_SHIFT
         if method != 0:
             c = read_subsurface(c, materials, registers, method, first)
+    if (sub & codes.CLOSURE_FILM) != 0:
+        c.film_thickness = argument(materials, registers, first, codes.ARG_FILM_THICKNESS)[0]
+        c.film_ior = argument(materials, registers, first, codes.ARG_FILM_IOR)[0]
     c.emission = sums.emission
     c.transparency = sums.transparency
     c.holdout = sums.holdout

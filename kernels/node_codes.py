@@ -13,6 +13,8 @@ ARGUMENT_COUNT = wp.constant(24)
 """Slots of a closure's arguments"""
 SUBSURFACE_ARGUMENT_COUNT = wp.constant(27)
 """The same where light is scattered below the surface (CLOSURE_SUBSURFACE)"""
+FILM_ARGUMENT_COUNT = wp.constant(30)
+"""The same with a thin film, whatever the kind (CLOSURE_FILM)"""
 
 # Reserved constants: filled by engine/materials.py, the same for all programs.
 CONSTANT_ORIGIN = wp.constant(0)
@@ -323,6 +325,8 @@ CLOSURE_MULTISCATTER = wp.constant(1 << 8)
 CLOSURE_SUBSURFACE_SHIFT = wp.constant(9)
 CLOSURE_SUBSURFACE = wp.constant(3 << 9)
 """How the Principled BSDF scatters light below the surface: one of SUBSURFACE_*"""
+CLOSURE_FILM = wp.constant(1 << 11)
+"""FILM_ARGUMENT_COUNT arguments follow, whatever the kind"""
 SUBSURFACE_NONE = wp.constant(0)
 SUBSURFACE_WALK = wp.constant(1)
 """Random walk: the radius is the mean free path"""
@@ -361,3 +365,6 @@ ARG_SUBSURFACE_RADIUS = wp.constant(24)
 ARG_SUBSURFACE_IOR = wp.constant(25)
 """0: that of the reflection"""
 ARG_SUBSURFACE_ANISOTROPY = wp.constant(26)
+# Of closures with CLOSURE_FILM alone.
+ARG_FILM_THICKNESS = wp.constant(27)
+ARG_FILM_IOR = wp.constant(28)

@@ -54,6 +54,8 @@ class Options:
     """1: some scatter light below the surface"""
     subsurface_bump: int
     """1: some of those bend normals"""
+    films: int
+    """1: some surfaces have a thin film"""
 
 
 @wp.struct

@@ -4,9 +4,9 @@
 The tracer is a wavefront of small kernels with states in arrays (paths.py) between them: tracing.py finds hits,
 layers.py looks through transparent triangles, misses.py adds the world and lamps, reference_lean.py shades most hits
 and reference_plain.py those on plain glass, materials.py runs the other materials' programs, this file's kernel shades
-those, and shadow_layers.py and shadow_lights.py finish shadow rays. A path owns its slot in every array, so any range
-of paths may run anywhere in any order. The node machine is called once in each module that needs it: CUDA's compiler
-then inlines it, instead of copying the whole Scene for a call.
+those (reference_film.py's where any has a thin film), and shadow_layers.py and shadow_lights.py finish shadow rays. A
+path owns its slot in every array, so any range of paths may run anywhere in any order. The node machine is called once
+in each module that needs it: CUDA's compiler then inlines it, instead of copying the whole Scene for a call.
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ def shade_paths(
             point = hit_point(scene, paths_out, path, paths_out.state[path])
             paths_out.state[path] = ENDED
             if not is_held_out(scene, point, paths_out, path):
-                bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
+                closure = paths_out.closure[path]
+                # A constant: then the code of films is no part of this kernel.
+                closure.film_thickness = 0.0
+                bsdf = prepare_bsdf(scene.tables, closure, point)
                 shade_hit(frames[0], scene, options, point, bsdf, paths_out, path)
                 if paths_out.state[path] != ENDED:
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -8,17 +8,30 @@ from __future__ import annotations
 
 import warp as wp
 
-from .albedo_tables import ggx_albedo, glass_albedo, reflected_cosine, reflected_dielectric_weight
+from .albedo_tables import (
+    ggx_albedo,
+    glass_albedo,
+    plane_point,
+    reflected_cosine,
+    reflected_dielectric_cosine,
+    reflected_dielectric_weight,
+)
 from .diffuse import oren_nayar_g
 from .fresnel import f0_from_ior, fresnel_dielectric, mix3
 from .gbuffer import GRAZING_MAX, SurfaceMaterial
-from .geometry_math import PI, max_component, mean_component, sqr
+from .geometry_math import PI, max_component, mean_component, safe_sqrt, sqr
+from .ggx import ggx_lambda, reflect_about, sample_ggx_normal
 from .lobe_setup import GLASS_REFRACTION, GLASS_THIN, alpha_roughness
+from .lobes import base_reflectance, glass_reflectance
 from .reflection_types import REFLECTANCE_MIN
 from .types import Bsdf, Tables
 
 # Least share of a lobe's albedo that its reflectance along the normal decides (1 - Schlick's weight); see fit_lobe.
 NORMAL_SHARE_MIN = wp.constant(0.05)
+
+# Facets whose mean is the reflectance under a thin film, and the roughness up to which one is enough.
+FILM_FACETS = wp.constant(24)
+FILM_SMOOTH = wp.constant(0.02)
 
 # Difference of roughness below which a coat and the base below it look like one lobe.
 COAT_BLEND = wp.constant(0.05)
@@ -95,6 +108,51 @@ def add_lobe(
 
 
 @wp.func
+def mean_film(bsdf: Bsdf, cos_o: float, roughness: float, share: float) -> wp.vec3:
+    """Return the weighted reflectance of metal and dielectric under a thin film, mean of the facets that reflect.
+
+    Each counts by how little it is shadowed. Interference changes too much with the angle for one facet to stand for
+    all; few do, as they are spread evenly, and as they stand for the difference from Schlick's curve alone, whose mean
+    weight of F90 is known: `share`.
+    """
+    grazing = bsdf.metal + bsdf.dielectric
+    alpha = sqr(roughness)
+    wo = wp.vec3(safe_sqrt(1.0 - sqr(cos_o)), 0.0, cos_o)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    weight = float(0.0)
+    lambda_o = ggx_lambda(wo, alpha, alpha)
+    facets = wp.where(roughness > FILM_SMOOTH, FILM_FACETS, 1)
+    k = int(0)
+    while k < facets:
+        m = wp.vec3(0.0, 0.0, 1.0)
+        if facets > 1:
+            # Half the azimuths are enough: the view lies in the plane between the halves.
+            u = plane_point(k)
+            m = sample_ggx_normal(wo, alpha, alpha, wp.vec2(u[0], 0.5 * u[1]))
+        wi = reflect_about(wo, m)
+        if wi[2] > 0.0:
+            kept = (1.0 + lambda_o) / (1.0 + lambda_o + ggx_lambda(wi, alpha, alpha))
+            c = wp.clamp(wp.dot(wo, m), 0.0, 1.0)
+            total = total + (base_reflectance(bsdf, c) - grazing * fifth_power(1.0 - c)) * kept
+            weight = weight + kept
+        k = k + 1
+    return wp.max(total / wp.max(weight, 1.0e-6) + grazing * share, wp.vec3(0.0, 0.0, 0.0))
+
+
+@wp.func
+def add_film(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) -> BsdfAlbedo:
+    """Return the sums with metal and dielectric under a thin film; `f0` makes the lobe as bright as they are."""
+    roughness = alpha_roughness(bsdf.alpha_x, bsdf.alpha_y)
+    share = fifth_power(1.0 - reflected_cosine(tables, cos_o, roughness))
+    reflected = mean_film(bsdf, cos_o, roughness, share)
+    # A film may be darker than any lobe that reflects all at grazing angles.
+    darkest = wp.min(reflected[0], wp.min(reflected[1], reflected[2])) / wp.max(share, 1.0e-6)
+    f90 = wp.min(bsdf.metal + bsdf.dielectric, wp.vec3(darkest, darkest, darkest))
+    f0 = wp.max(reflected - f90 * share, wp.vec3(0.0, 0.0, 0.0)) / wp.max(1.0 - share, NORMAL_SHARE_MIN)
+    return add_lobe(result, reflected * ggx_albedo(tables, cos_o, roughness)[0], f0, f90, roughness)
+
+
+@wp.func
 def add_base(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo) -> BsdfAlbedo:
     """Return the sums with metal and dielectric, which share one GGX lobe."""
     sums = result
@@ -139,6 +197,8 @@ def add_glass_lobe(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo)
     if bsdf.glass_ior > 1.0:
         reflectance = mix3(
             bsdf.glass_f0, one, reflected_dielectric_weight(tables, cos_o, roughness, bsdf.glass_ior))
+        if bsdf.film_thickness > 0.0:
+            reflectance = glass_reflectance(bsdf, reflected_dielectric_cosine(tables, cos_o, roughness, bsdf.glass_ior))
         # Of both halves together; what refraction keeps of its own is more.
         reflectance = reflectance * (
             ggx_albedo(tables, cos_o, roughness)[0] / wp.max(energy, 1.0e-4))
@@ -199,7 +259,10 @@ def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
     result.coat_roughness = 1.0
     cos_o = wp.dot(bsdf.specular_normal, wo)
     if bsdf.pick_specular > 0.0:
-        result = add_base(tables, bsdf, cos_o, result)
+        if bsdf.film_thickness > 0.0:
+            result = add_film(tables, bsdf, cos_o, result)
+        else:
+            result = add_base(tables, bsdf, cos_o, result)
     if bsdf.pick_glass > 0.0:
         result = add_glass_lobe(tables, bsdf, cos_o, result)
     if bsdf.pick_sheen > 0.0:

@@ -76,6 +76,9 @@ class Closure:
     sheen: float
     sheen_roughness: float
     sheen_tint: wp.vec3
+    film_thickness: float
+    """[nm]; 0 for most"""
+    film_ior: float
     thin_wall: int
     multiscatter: int
     """1: Multiscatter GGX (energy preserving), 0: plain GGX"""
@@ -128,6 +131,13 @@ class Bsdf:
     glass_alpha: float
     thin_alpha: float
     """GGX roughness of the light that passes a thin wall"""
+    film: wp.array[wp.vec4]
+    """See engine/film_colors.py"""
+    film_thickness: float
+    """Of the thin film on metal, dielectric and glass [nm]; 0 without one"""
+    film_ior: float
+    glass_film_ior: float
+    """Relative to the side of `wo`"""
     coat: wp.vec3
     coat_normal: wp.vec3
     coat_alpha: float

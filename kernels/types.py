@@ -337,6 +337,8 @@ class Tables:
     """[ior, cosine, roughness] cosine at which a smooth dielectric reflects what a rough one does, by its albedo"""
     schlick_c: wp.array2d[float]
     """[cosine, roughness] the same for Schlick's curve"""
+    film: wp.array[wp.vec4]
+    """Colours of thin films, see engine/film_colors.py"""
 
 
 @wp.struct

@@ -8,16 +8,18 @@ raises for what a tree contains: what isn't drawn is named in the report. Main t
 from __future__ import annotations
 
 import bpy
+import numpy as np
 
 from ...engine.pass_names import COLOR_AOV, VALUE_AOV
 from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
 from ...engine.scene import MaterialData, MistData, Visibility, WorldData
+from ...engine.sky.image import TO_REC709
 from . import node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
 from .node_graph import Graph
 from .node_shaders import add_shader
 
-__all__ = ["extract_light_factor", "extract_material", "extract_world"]
+__all__ = ["extract_light_factor", "extract_material", "extract_world", "from_xyz"]
 
 MIST_FALLOFF = {'QUADRATIC': 2.0, 'LINEAR': 1.0, 'INVERSE_QUADRATIC': 0.5}
 RESOLUTION_SMOOTH = 256
@@ -29,6 +31,12 @@ FROM_REC709 = {
     "Linear Rec.2020": ((0.627404, 0.329283, 0.043313), (0.069097, 0.919540, 0.011362), (0.016391, 0.088013, 0.895595)),
     "ACEScg": ((0.613097, 0.339523, 0.047380), (0.070194, 0.916354, 0.013452), (0.020616, 0.109570, 0.869815)),
 }
+
+
+def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
+    """Return the matrix from CIE XYZ to a working space."""
+    rows = np.asarray(FROM_REC709.get(space, np.eye(3))) @ np.asarray(TO_REC709)
+    return tuple(tuple(float(x) for x in row) for row in rows)
 
 
 class _ImageNeeded(Exception):

@@ -65,6 +65,14 @@ def is_zero(value: Value) -> bool:
     return value.constant is not None and not any(value.constant[:3])
 
 
+def film(graph: Graph, node) -> dict[str, Value]:
+    """Return the arguments of a thin film [nm]; none where there is none, or the node knows none."""
+    thickness = graph.value(node, "Thin Film Thickness")
+    if is_zero(thickness):
+        return {}
+    return {"film_thickness": thickness, "film_ior": graph.value(node, "Thin Film IOR", 1.33)}
+
+
 def principled(graph: Graph, node, weight: Value) -> None:
     """Principled BSDF: alpha makes transparency, emission stays out of the layers where there are none."""
     build = graph.builder
@@ -76,8 +84,6 @@ def principled(graph: Graph, node, weight: Value) -> None:
     layered = not (is_zero(coat) and is_zero(sheen))
     build.emit(color, strength, weight, layered=layered)
     emission = build.vector("MULTIPLY", color, strength) if layered else 0.0
-    if not is_zero(graph.value(node, "Thin Film Thickness")):
-        graph.tell(node, "has a thin film, which is not drawn")
     anisotropic = graph.value(node, "Anisotropic")
     build.closure(
         "PRINCIPLED", weight, multiscatter=node.distribution == 'MULTI_GGX',
@@ -95,7 +101,7 @@ def principled(graph: Graph, node, weight: Value) -> None:
         coat_normal=graph.linked_or(node, "Coat Normal", lambda: build.constant(0.0)),
         sheen=sheen, sheen_roughness=graph.value(node, "Sheen Roughness", 0.5),
         sheen_tint=graph.value(node, "Sheen Tint", (1.0, 1.0, 1.0)),
-        emission=emission, thin_wall=graph.value(node, "Thin Wall"), **subsurface(graph, node),
+        emission=emission, thin_wall=graph.value(node, "Thin Wall"), **subsurface(graph, node), **film(graph, node),
     )
 
 
@@ -168,12 +174,11 @@ def glass(graph: Graph, node, weight: Value) -> None:
     """Glass BSDF and Refraction BSDF."""
     if node.distribution == 'BECKMANN':
         graph.tell(node, "has the distribution BECKMANN, which is drawn as GGX")
-    if not is_zero(graph.value(node, "Thin Film Thickness")):
-        graph.tell(node, "has a thin film, which is not drawn")
     kind = "GLASS" if node.bl_idname == "ShaderNodeBsdfGlass" else "REFRACTION"
     graph.builder.closure(
         kind, weight, multiscatter=node.distribution == 'MULTI_GGX', color=graph.value(node, "Color"),
-        roughness=graph.value(node, "Roughness"), ior=graph.value(node, "IOR"), normal=perturbed_normal(graph, node))
+        roughness=graph.value(node, "Roughness"), ior=graph.value(node, "IOR"), normal=perturbed_normal(graph, node),
+        **film(graph, node))
 
 
 def conductor(n: Value, k: Value, cosine: float, graph: Graph) -> Value:
@@ -195,8 +200,6 @@ def conductor(n: Value, k: Value, cosine: float, graph: Graph) -> Value:
 def metallic(graph: Graph, node, weight: Value) -> None:
     """Metallic BSDF, drawn by the metal of the Principled BSDF (F82 tint)."""
     build = graph.builder
-    if not is_zero(graph.value(node, "Thin Film Thickness")):
-        graph.tell(node, "has a thin film, which is not drawn")
     if node.distribution == 'BECKMANN':
         graph.tell(node, "has the distribution BECKMANN, which is drawn as GGX")
     color, edge = graph.value(node, "Base Color"), graph.value(node, "Edge Tint")
@@ -213,7 +216,7 @@ def metallic(graph: Graph, node, weight: Value) -> None:
         specular_tint=build.color("CLAMP", edge), metallic=1.0, roughness=graph.value(node, "Roughness"), ior=1.5,
         normal=perturbed_normal(graph, node), anisotropic=anisotropic, specular_level=0.5, coat_ior=1.5,
         anisotropic_rotation=graph.value(node, "Rotation"), tangent=tangent(graph, node, anisotropic),
-        coat_tint=1.0, sheen_tint=1.0)
+        coat_tint=1.0, sheen_tint=1.0, **film(graph, node))
 
 
 def simple(kind: str) -> Callable[[Graph, object, Value], None]:

@@ -28,6 +28,7 @@ from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, 
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
+from .material import from_xyz
 from .mesh import extract_mesh
 from .moves import Moves
 
@@ -145,7 +146,7 @@ class SceneExtractor:
         start = time.perf_counter()
         full = self._begin(depsgraph, space)
         changes = self._changes(depsgraph, full or not viewport)
-        delta = SceneDelta(full=full, luminance_weights=_luminance_weights())
+        delta = SceneDelta(full=full, luminance_weights=_luminance_weights(), from_xyz=from_xyz(_working_space()))
         callbacks = _Callbacks(progress, cancelled)
         try:
             self._extract_changed(delta, depsgraph, changes, space, callbacks)

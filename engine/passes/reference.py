@@ -26,6 +26,7 @@ from ...kernels import (
     misses,
     path_lists,
     reference,
+    reference_film,
     reference_lean,
     reference_plain,
     tracing,
@@ -323,7 +324,8 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         if options.subsurface == 1:
             steps.append(below_step(shading))
         else:
-            steps.append(Step(reference.shade_paths, shading, over="full_hits", fills=("next",)))
+            shade = reference_film.shade_film_paths if options.films else reference.shade_paths
+            steps.append(Step(shade, shading, over="full_hits", fills=("next",)))
     if options.passes == 1:
         steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
     if light:

@@ -69,6 +69,7 @@ def principled_closure(harness: Harness) -> dict:
         "Coat IOR": 1.22, "Sheen Weight": 0.23, "Sheen Roughness": 0.24, "Subsurface Weight": 0.25,
         "Subsurface Radius": (1.0, 2.0, 3.0), "Subsurface Scale": 0.26, "Subsurface IOR": 1.27,
         "Subsurface Anisotropy": 0.28,
+        "Thin Film Thickness": 260.0, "Thin Film IOR": 1.27,
         "Emission Color": (1.0, 2.0, 3.0, 1.0), "Emission Strength": 2.0, **({"Thin Wall": True} if thin_walls else {}),
     }
     result = harness.machine(new_material(node_graph(

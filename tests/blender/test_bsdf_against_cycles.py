@@ -38,7 +38,8 @@ FIELDS = {
     "Coat Weight": "coat", "Coat Roughness": "coat_roughness", "Coat IOR": "coat_ior", "Coat Tint": "coat_tint",
     "Sheen Weight": "sheen", "Sheen Roughness": "sheen_roughness", "Sheen Tint": "sheen_tint",
     "Diffuse Roughness": "diffuse_roughness", "Thin Wall": "thin_wall", "Subsurface Weight": "subsurface",
-    "Subsurface Anisotropy": "subsurface_anisotropy",
+    "Subsurface Anisotropy": "subsurface_anisotropy", "Thin Film Thickness": "film_thickness",
+    "Thin Film IOR": "film_ior",
 }
 """Sockets of the nodes and fields of the closure"""
 
@@ -199,6 +200,23 @@ def bumped_cases() -> list[dict]:
             for node, inputs, distribution in nodes for c in (.3, .9) for tilt in (-70, -30, 15, 40)]
 
 
+def film_cases() -> list[dict]:
+    """Return thin films on metals, dielectrics and glass, from both sides of that."""
+    films = [{"Thin Film Thickness": t, "Thin Film IOR": i, "Roughness": r, "Base Color": [.9, .6, .3]}
+             for t, i, r in ((120.0, 1.33, 0.1), (400.0, 1.8, 0.4), (700.0, 1.2, 0.6), (0.5, 1.5, 0.2))]
+    bases = [{}, {"Specular IOR Level": .9, "Specular Tint": [1, .5, .2]}, {"IOR": 1.0},
+             {"Metallic": 1.0, "Specular Tint": [.8, .9, 1]}, {"Metallic": .5, "Coat Weight": .5}]
+    glass = {"Transmission Weight": 1.0}
+    result = [case("ShaderNodeBsdfPrincipled", film | base, c, distribution='MULTI_GGX')
+              for film in films for base in bases for c in (.3, .9)]
+    result += [case("ShaderNodeBsdfPrincipled", film | base, c, backfacing=back, distribution='MULTI_GGX')
+               for film in films for base in (glass, glass | {"Thin Wall": True}) for back in (False, True)
+               for c in (.3, .9)]
+    simple = {"Color": [.8, .5, .2], "Roughness": 0.3, "Thin Film Thickness": 300.0, "Thin Film IOR": 1.6, "IOR": 1.4}
+    return result + [case("ShaderNodeBsdfGlass", simple, c, backfacing=back, distribution='MULTI_GGX')
+                     for back in (False, True) for c in (.3, .9)]
+
+
 def sheen_cases() -> list[dict]:
     """Return sheen over a range of roughness."""
     return [case("ShaderNodeBsdfSheen", {"Color": [1, 1, 1], "Roughness": r}, c)
@@ -220,7 +238,7 @@ def integrate(cases: list[dict]) -> np.ndarray:
     return moments(closures, points, 1 << 14)
 
 
-@pytest.mark.parametrize("group", [opaque_cases, transmissive_cases, bumped_cases, sheen_cases])
+@pytest.mark.parametrize("group", [opaque_cases, transmissive_cases, film_cases, bumped_cases, sheen_cases])
 def test_lobes_agree_with_cycles(
     group: Callable[[], list[dict]], tmp_path: Path, run_python: Callable[..., subprocess.CompletedProcess]
 ) -> None:

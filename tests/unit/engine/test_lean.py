@@ -9,10 +9,14 @@ import functools
 import numpy as np
 import pytest
 from burnish.engine.lean import LeanPrograms, is_lean, is_lean_transparency
+from burnish.engine.passes.reference import path_steps
+from burnish.engine.passes.wavefront import Wavefront
+from burnish.engine.path_options import path_options
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import ImageData, MaterialData
+from burnish.engine.settings import RenderSettings
 from burnish.kernels import node_codes as codes
-from burnish.kernels import types
+from burnish.kernels import reference, reference_film, types
 
 from tests import scenes
 from tests.gbuffer_frames import GBufferFrames
@@ -58,6 +62,11 @@ def lean_materials() -> dict[str, MaterialData]:
 def coated() -> MaterialData:
     """Make a material that needs the full machine."""
     return scenes.material("PRINCIPLED", color=0.4, coat=0.5, coat_ior=1.5, coat_tint=1.0, **PLAIN)
+
+
+def filmed() -> MaterialData:
+    """Make a material with a thin film."""
+    return scenes.material("PRINCIPLED", color=0.4, film_thickness=300.0, film_ior=1.5, **PLAIN)
 
 
 def images() -> dict[str, ImageData]:
@@ -109,6 +118,7 @@ def test_lean_programs_are_recognised():
     rejected = [mix, noise, deep, coated().program, scenes.material("GLASS", color=1.0, ior=1.5).program]
     rejected += [scenes.material("PRINCIPLED", color=1.0, **{name: 0.5}, **PLAIN).program
                  for name in ("transmission", "sheen", "thin_wall", "diffuse_roughness")]
+    rejected += [filmed().program]
     for program in rejected:
         assert not is_lean(program.surface, program)
 
@@ -163,6 +173,22 @@ def test_cache_vertices_agree(device):
     np.testing.assert_allclose(lean["reflectance"], full["reflectance"], rtol=2e-3, atol=1e-4)
     np.testing.assert_allclose(lean["emission"], full["emission"], rtol=2e-3, atol=1e-4)
     assert (lean["normal"] == full["normal"])[hit].mean() > 0.99
+
+
+def test_films_have_a_kernel_of_their_own(device):
+    """Launch what knows films where a drawn material has one, and the same kernels as ever elsewhere."""
+    for materials, kernel in (({"a": coated()}, reference.shade_paths),
+                              ({"a": coated(), "b": filmed()}, reference_film.shade_film_paths)):
+        scene = GBufferFrames(row_of_balls(materials), (8, 8)).scene
+        options = path_options(RenderSettings(), scene, False)
+        steps = path_steps(Wavefront(64, False, device), scene.scene, options)
+        kernels = [step.kernel for step in steps]
+        assert kernel in kernels
+        assert len({reference.shade_paths, reference_film.shade_film_paths} & set(kernels)) == 1
+    # What says nothing of films is as long as it was: no argument more is read.
+    plain, film = coated().program.surface, filmed().program.surface
+    assert len(film) == len(plain) + 1
+    assert not any(word[0] >> 16 & int(codes.CLOSURE_FILM) for word in plain)
 
 
 def test_scenes_of_lean_materials_skip_the_full_machine():
