@@ -322,8 +322,8 @@ def largest_gain(closure: Closure) -> float:
 
 
 @wp.func
-def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
-    """Prepare a closure for the view of `point`."""
+def prepare_under_film(tables: Tables, closure: Closure, point: ShadingPoint, film_thickness: float) -> Bsdf:
+    """Prepare a closure for the view of `point`, with a thin film of another thickness [nm] than its own."""
     bsdf = Bsdf()
     bsdf.geometric_normal = point.geometric_normal
     bsdf.smooth_normal = point.normal
@@ -331,12 +331,18 @@ def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
     bsdf.specular_normal = valid_specular_normal(point.geometric_normal, point.wo, bsdf.normal)
     bsdf.emission = closure.emission
     bsdf.gain = largest_gain(closure)
-    if closure.film_thickness > FILM_MIN:
+    if film_thickness > FILM_MIN:
         bsdf.film = tables.film
-        bsdf.film_thickness = closure.film_thickness
+        bsdf.film_thickness = film_thickness
         bsdf.film_ior = wp.max(closure.film_ior, IOR_MIN)
     if closure.kind == CLOSURE_PRINCIPLED:
         bsdf = prepare_principled(tables, closure, point, bsdf)
     else:
         bsdf = prepare_simple(tables, closure, point, bsdf)
     return normalize_picks(bsdf, point.wo)
+
+
+@wp.func
+def prepare_bsdf(tables: Tables, closure: Closure, point: ShadingPoint) -> Bsdf:
+    """Prepare a closure for the view of `point`."""
+    return prepare_under_film(tables, closure, point, closure.film_thickness)

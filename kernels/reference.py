@@ -13,12 +13,20 @@ from __future__ import annotations
 
 import warp as wp
 
+from .layering import prepare_under_film
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
-from .principled import prepare_bsdf
-from .types import FrameData, Scene
+from .types import Bsdf, FrameData, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.func
+def without_film(bsdf: Bsdf) -> Bsdf:
+    """Return a BSDF without a thin film, which it has none of anyway: compilers leave out its code then."""
+    out = bsdf
+    out.film_thickness = 0.0
+    return out
 
 
 @wp.kernel
@@ -44,10 +52,7 @@ def shade_paths(
             point = hit_point(scene, paths_out, path, paths_out.state[path])
             paths_out.state[path] = ENDED
             if not is_held_out(scene, point, paths_out, path):
-                closure = paths_out.closure[path]
-                # A constant: then the code of films is no part of this kernel.
-                closure.film_thickness = 0.0
-                bsdf = prepare_bsdf(scene.tables, closure, point)
+                bsdf = without_film(prepare_under_film(scene.tables, paths_out.closure[path], point, 0.0))
                 shade_hit(frames[0], scene, options, point, bsdf, paths_out, path)
                 if paths_out.state[path] != ENDED:
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path
