@@ -134,10 +134,7 @@ def store_surface(
     if not is_finite3(normal):
         normal = point.geometric_normal
     material = SurfaceMaterial()
-    added = float(0.0)
-    if view.rest == 0:
-        # At rest many frames see all of the pixel.
-        added = widening(view.camera, scene.geometry, point, depth)
+    added = widening(view.camera, scene.geometry, point, depth)
     material.roughness = widened(albedo.roughness, added)
     material = fit_lobe(scene.tables, albedo, cosine, material)
     material.f90 = material.f90 * mean_component(weight)

@@ -118,7 +118,7 @@ def test_mixed_materials_average_over_frames():
 
 
 def test_roughness_is_widened_where_normals_vary():
-    """Widen the roughness of a small ball, less of a near one, not at all of a plane, and of nothing at rest."""
+    """Widen the roughness of a small ball, less of a near one, and not at all of a plane."""
     shiny = {"grey": scenes.material("GLOSSY", color=0.9, roughness=0.1)}
     widths = []
     for half in (1.0, 20.0):
@@ -129,8 +129,6 @@ def test_roughness_is_widened_where_normals_vary():
         assert picture["hit"][12, 12, 0] == 1
         widths.append(picture["roughness"][12, 12])
         assert abs(picture["roughness"][0, 0] - 0.1) < 1e-4
-        at_rest = frames.shot(scenes.camera_above(3.0, half))
-        assert abs(at_rest["roughness"][12, 12] - 0.1) < 1e-4
     # Squared change of the normal over a pixel's width w on radius r: 2 (w / r)^2; alpha^2 grows by 2 sigma^2 of it.
     near = np.sqrt(np.sqrt(0.1**4 + min(4.0 * float(FILTER_VARIANCE) * (2.0 / 25 / 0.5) ** 2, 0.18)))
     np.testing.assert_allclose(widths, [near, np.sqrt(np.sqrt(0.1**4 + 0.18))], rtol=0.03)

@@ -187,7 +187,7 @@ def test_films_have_a_kernel_of_their_own(device):
         assert len({reference.shade_paths, reference_film.shade_film_paths} & set(kernels)) == 1
     # What says nothing of films is as long as it was: no argument more is read.
     plain, film = coated().program.surface, filmed().program.surface
-    assert len(film) == len(plain) + 1
+    assert len(film) == len(plain) + 2
     assert not any(word[0] >> 16 & int(codes.CLOSURE_FILM) for word in plain)
 
 
