@@ -121,7 +121,7 @@ def weaken(options: DirectOptions, rays: Paths, slot: int, pixel: int, light: Pa
     light.specular[pixel] = pack_halves(rgba(terms.specular, 1.0))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def shade_direct(
     # In:
     first: int,

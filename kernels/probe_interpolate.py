@@ -295,7 +295,7 @@ def specular_ratio(b: Blend, weights: wp.vec3) -> wp.float16:
     return wp.float16(wp.min(specular / light, RATIO_MAX))
 
 
-@wp.kernel(cuda_max_registers=72)
+@wp.kernel(cuda_max_registers=64)
 def interpolate_probes(
     first: int,
     # In:

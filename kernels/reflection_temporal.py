@@ -162,7 +162,7 @@ def add_reflection(
     return out
 
 
-@wp.kernel(cuda_max_registers=80)
+@wp.kernel(cuda_max_registers=72)
 def accumulate_reflections(
     first: int,
     # In:

@@ -79,7 +79,7 @@ def same_surface(a: Surface, b: Surface, tolerance: float) -> bool:
     return wp.dot(a.geometric_normal, b.geometric_normal) > NORMAL_COSINE and plane_distance(a, b.position) < tolerance
 
 
-@wp.kernel(cuda_max_registers=72)
+@wp.kernel(cuda_max_registers=64)
 def reproject(
     # In:
     first: int,
