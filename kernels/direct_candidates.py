@@ -30,7 +30,7 @@ from .gbuffer import GBuffer, has_surface, load_surface
 from .light_candidate import choose, light_classes, replay
 from .light_linking import kinds_lit_at
 from .reprojection import Reprojection, has_tap, known_taps, tap_pixel, tap_weight
-from .sampling import fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
+from .sampling import STEP_X, STEP_Y, fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
 from .wide_loads import load_previous_view, load_view
@@ -44,10 +44,7 @@ DIMENSION_POINT = wp.constant(66)
 DIMENSION_RESAMPLE = wp.constant(67)
 """x: which candidate stays"""
 
-# Steps from one candidate's numbers to the next's: 1 / g and 1 / g^2 of the plastic number g (Roberts 2018), and the
-# golden ratio's.
-STEP_X = wp.constant(0.7548777)
-STEP_Y = wp.constant(0.5698403)
+# Step from one candidate's number for its light to the next's: the golden ratio's.
 STEP_REFILL = wp.constant(0.6180340)
 
 # Frames at rest after which every frame draws anew: independent samples converge faster.

@@ -34,7 +34,7 @@ from .reflection_types import (
     place_pixel,
     sampled_material,
 )
-from .sampling import fraction, sample_pair
+from .sampling import STEP_X, STEP_Y, fraction, sample_pair
 from .specular_lobes import SpecularLobes, lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .view import View
 from .wide_loads import load_piece, load_view
@@ -45,11 +45,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 DIMENSION_LOOK_UP = wp.constant(96)
 DIMENSION_LOOK_UP_LOBE = wp.constant(97)
 
-# Directions in which the probes are asked for the light of a base under a coat, and steps between their numbers (as of
-# direct_candidates.py).
+# Directions in which the probes are asked for the light of a base under a coat.
 BASE_LOOK_UPS = wp.constant(4)
-STEP_X = wp.constant(0.7548777)
-STEP_Y = wp.constant(0.5698403)
 
 # From this distance on, in distances from the probe, a point is seen in the same direction from both: 1 degree.
 SAME_DIRECTION = wp.constant(57.0)

@@ -7,6 +7,8 @@ raises for what a tree contains: what isn't drawn is named in the report. Main t
 
 from __future__ import annotations
 
+import functools
+
 import bpy
 import numpy as np
 
@@ -33,6 +35,7 @@ FROM_REC709 = {
 }
 
 
+@functools.cache
 def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
     """Return the matrix from CIE XYZ to a working space."""
     rows = np.asarray(FROM_REC709.get(space, np.eye(3))) @ np.asarray(TO_REC709)
