@@ -24,7 +24,7 @@ from .path_shading import set_shadow_ray
 from .paths import Paths, has_hit, load_hit
 from .reflection_rays import FOUND_DIRECT, ReflectionRays
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
-from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
+from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -50,6 +50,29 @@ def density_of(normal: wp.vec3, behind: float, wi: wp.vec3) -> float:
     """Return the density that turns radiance from a direction into irradiance / pi; by the shares of both sides."""
     cosine = wp.dot(normal, wi)
     return wp.abs(cosine) * INV_PI * wp.where(cosine > 0.0, 1.0 - behind, behind)
+
+
+@wp.func
+def sampled_density(normal: wp.vec3, behind: float, weighed: int, s: LightSample) -> float:
+    """Return density_of a light sample; `weighed` 1: less what rays bring of triangles' emission."""
+    density = density_of(normal, behind, s.wi)
+    if weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
+        density = density * power_heuristic(s.pdf, density)
+    return density
+
+
+@wp.func
+def send_to_light(
+    scene: Scene, world: wp.array[wp.vec3], point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths,
+    slot: int,
+):
+    """Set up the shadow ray of a hit's light sample, which carries so much light."""
+    if is_finite3(light) and max_component(light) > 0.0:
+        set_shadow_ray(scene, point, s, light, paths, slot)
+        settle_world(scene, world, paths, slot)
+        if paths.shadow_distance[slot] != 0.0:
+            # For count_rays.
+            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
 
 
 @wp.kernel
@@ -102,9 +125,7 @@ def choose_reflection_lights(
             value = wp.float32(1.0)
             if candidates > 1:
                 value = mean_component(wp.cw_mul(s.radiance, emitted(scene, world, s)))
-            density = density_of(normal, reflectance[3], s.wi)
-            if weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
-                density = density * power_heuristic(s.pdf, density)
+            density = sampled_density(normal, reflectance[3], weighed, s)
             weight = value * density / s.pdf
             if weight > 0.0 and wp.isfinite(weight):
                 total = total + weight
@@ -115,9 +136,4 @@ def choose_reflection_lights(
     if not target > 0.0:
         return
     light = chosen.radiance * (total / (target * float(candidates)))
-    if is_finite3(light) and max_component(light) > 0.0:
-        set_shadow_ray(scene, point, chosen, light, paths_out, slot)
-        settle_world(scene, world, paths_out, slot)
-        if paths_out.shadow_distance[slot] != 0.0:
-            # For count_rays.
-            paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    send_to_light(scene, world, point, chosen, light, paths_out, slot)

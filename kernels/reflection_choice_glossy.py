@@ -10,22 +10,20 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_lights import settle_world
 from .cache_rays import Vertices
-from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
+from .geometry_math import INV_PI, mean_component
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point
 from .lamp_sample import LightSample
-from .light_linking import is_linked, kinds_lit
+from .light_linking import kinds_lit
 from .lights import cell_side, sample_light
 from .packing import rgb, unpack_normal
-from .path_shading import set_shadow_ray
 from .paths import Paths, has_hit, load_hit
-from .reflection_choice import DIMENSION_CANDIDATE, STREAM_PICK, density_of, emitted
+from .reflection_choice import DIMENSION_CANDIDATE, STREAM_PICK, emitted, sampled_density, send_to_light
 from .reflection_highlights import Highlight, lobe_albedo, lobe_density, make_highlight, unpack_lobe
 from .reflection_rays import FOUND_DIRECT, FOUND_SCREEN, ReflectionRays
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
-from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene, ShadingPoint
+from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -70,9 +68,7 @@ class LightParts:
 def light_parts(scene: Scene, hit: GlossyHit, point: ShadingPoint, s: LightSample, kinds: int) -> LightParts:
     """Return what a hit makes of a light sample that lights `kinds` of its lobes."""
     parts = LightParts()
-    density = density_of(hit.normal, hit.behind, s.wi)
-    if hit.weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
-        density = density * power_heuristic(s.pdf, density)
+    density = sampled_density(hit.normal, hit.behind, hit.weighed, s)
     parts.matte = density
     parts.weight = density
     parts.lobe = 0.0
@@ -144,12 +140,7 @@ def choose_light(
         scale = scale / chance
     rays.highlight[slot] = kept.lobe / kept.matte
     light = chosen.radiance * (kept.matte * scale)
-    if is_finite3(light) and max_component(light) > 0.0:
-        set_shadow_ray(scene, point, chosen, light, paths, slot)
-        settle_world(scene, world, paths, slot)
-        if paths.shadow_distance[slot] != 0.0:
-            # For count_rays.
-            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    send_to_light(scene, world, point, chosen, light, paths, slot)
 
 
 @wp.kernel(cuda_max_registers=168)
