@@ -13,8 +13,10 @@ from ..kernels import cluster_tree, triangle_split
 from ..kernels import wide_bvh_build as kernels
 from ..kernels.wide_bvh import MAX_DEPTH, NODE_WORDS, TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
+from .binary_tree import BinaryTree
 from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
+from .tree_reinsertion import mend_upper_levels
 from .work_list import make_queue
 
 __all__ = ["WideBvh", "build_wide", "launch_bands"]
@@ -104,17 +106,6 @@ class _References:
         return _half_area(self.lower.numpy(), self.upper.numpy())
 
 
-@dataclass
-class _Binary:
-    """A binary tree, its root the last node: children, or (-1 - item, 1) for leaves, and boxes."""
-
-    children: wp.array
-    lower: wp.array
-    upper: wp.array
-    batches: list[tuple[int, int]]
-    """First node and count, children in batches before those of their parents"""
-
-
 def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -> WideBvh:
     """Build the structure over triangles.
 
@@ -135,8 +126,10 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
     parts = (_split(points, indices, whole) if splitting else None) or whole
     # Sizes that grow from triangle to triangle may make a chain, shorter without patience. Pairs along the curve make a
     # tree of at most as many levels as the count has bits.
-    for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
-        nodes, items, levels = _collapse(_cluster(parts.lower, parts.upper, radius, patience), len(parts.faces))
+    attempts = (RADIUS, PATIENCE, True), (RADIUS, PATIENCE, False), (RADIUS, 0, False), (0, 0, False)
+    for radius, patience, mended in attempts:
+        tree = _cluster(parts.lower, parts.upper, radius, patience)
+        nodes, items, levels = _collapse(mend_upper_levels(tree) if mended else tree, len(parts.faces))
         if len(levels) <= MAX_DEPTH:
             break
     triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
@@ -203,7 +196,7 @@ def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, output
         for start in range(first, first + count, size)])
 
 
-def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: int) -> _Binary:
+def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: int) -> BinaryTree:
     """Return the tree that clustering makes over boxes; for radius and patience see RADIUS and PATIENCE."""
     device, count = item_lower.device.alias, len(item_lower)
     total = 2 * count - 1
@@ -234,10 +227,10 @@ def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: 
         slow += made * SLOW < count
         reach = 0 if made * SLOW < count and slow > patience else radius
         clusters, following, count, first = following, clusters, count - made, first + made
-    return _Binary(children, lower, upper, batches)
+    return BinaryTree(children, lower, upper, batches)
 
 
-def _collapse(tree: _Binary, count: int) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
+def _collapse(tree: BinaryTree, count: int) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
     """Return nodes, items in the order of the leaves, and the levels."""
     children, lower, upper = tree.children, tree.lower, tree.upper
     device, total = children.device.alias, len(children)

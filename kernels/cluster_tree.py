@@ -63,6 +63,19 @@ def common_area(low: wp.vec3, high: wp.vec3, lower: wp.array[wp.vec3], upper: wp
 
 
 @wp.kernel
+def write_areas(
+    # In:
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    # Out:
+    areas_out: wp.array[float],
+):
+    """Write half the surface of each node's box."""
+    i = wp.tid()
+    areas_out[i] = half_area(upper[i] - lower[i])
+
+
+@wp.kernel
 def find_neighbors(
     # In:
     first: int,
