@@ -17,7 +17,8 @@ from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
 from .instance_rows import filtered_groups, instance_bounds, instance_rows, scene_origin, write_places
-from .lamps import lamp_array, lamp_power
+from .lamp_tables import LampTables
+from .lamps import lamp_power
 from .light_linking import is_linked, same_links
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
@@ -81,7 +82,7 @@ class DeviceScene:
         self.instances = wp.zeros(1, dtype=types.Instance, device=device)
         self.instance_materials = wp.zeros(1, dtype=int, device=device)
         self.lights: list[LightData] = []
-        self.lamps = np.zeros(0, types.Light.numpy_dtype())
+        self.lamps, self.lamp_tables = np.zeros(0, types.Light.numpy_dtype()), LampTables(device)
         self.world: WorldData | None = None
         self.origin = np.zeros(3)
         self.radius = 1.0
@@ -220,7 +221,7 @@ class DeviceScene:
                 self.world_texels = build_environment(self.scene, self.world, self.device, self._assemble_with)
                 self.environment_built = True
             if emission_moved or materials_changed or delta.images or delta.lights is not None or relinked:
-                self._choose_lights()
+                self._choose_lights(bool(delta.images) or delta.full)
 
     def use_opacity_maps(self, enabled: bool) -> None:
         """Make the opacity maps or take them away where nothing else changes."""
@@ -346,16 +347,15 @@ class DeviceScene:
 
     # -- lights and the struct ----------------------------------------------------------------------------------
 
-    def _choose_lights(self) -> None:
+    def _choose_lights(self, images_changed: bool) -> None:
         """Decide by what chances lights are sampled."""
-        self.lamps = lamp_array(self.lights, self.origin, self.report)
-        local = self.lamps[self.lamps["kind"] != SUN]
-        self.local_power = float(lamp_power(local, self.radius).sum() + self.emitters.power.sum())
-        self.power = float(lamp_power(self.lamps, self.radius).sum() + self.emitters.power.sum()
-                           + self.environment_power * np.pi * self.radius**2)
-        sampled_world = self.world is not None and self.world.sampling
+        self.lamps = self.lamp_tables.rows(self, stale=images_changed)
+        power = lamp_power(self.lamps, self.radius)
+        self.local_power = float(power[self.lamps["kind"] != SUN].sum() + self.emitters.power.sum())
+        self.power = float(power.sum() + self.emitters.power.sum() + self.environment_power * np.pi * self.radius**2)
+        sampled_power = self.environment_power if self.world is not None and self.world.sampling else 0.0
         self.light_struct = build_lights(
-            self.lamps, self.emitters, self.environment_power if sampled_world else 0.0, self.radius, self.device,
+            self.lamps, self.emitters, sampled_power, self.radius, self.device, tables=self.lamp_tables.array,
             linked=is_linked(self.lights, self.table, self._emitting))
         self._assemble()
 

@@ -12,7 +12,7 @@ from .light_linking import emitted_visibility
 from .report import Report, ReportKind
 from .scene import LightData, LightKind
 
-__all__ = ["drawn_lamps", "lamp_array", "lamp_bounds", "lamp_power"]
+__all__ = ["drawn_lamps", "lamp_array", "lamp_bounds", "lamp_power", "lamp_rows"]
 
 # Spreads below this are drawn as this [rad]; a spread of 0 is a beam that no sample could find.
 MIN_SPREAD = math.radians(0.5)
@@ -92,8 +92,12 @@ def _area_lamp(row: np.void, light: LightData, matrix: np.ndarray, report: Repor
 
 def lamp_array(lights: list[LightData], origin: np.ndarray, report: Report) -> np.ndarray:
     """Return the lamps as a structured array of kernels.types.Light, [L], suns last; see drawn_lamps."""
-    rows = [row for _, row in drawn_lamps(lights, origin, report)]
-    return np.array(rows, types.Light.numpy_dtype()) if rows else np.zeros(0, types.Light.numpy_dtype())
+    return lamp_rows(drawn_lamps(lights, origin, report))
+
+
+def lamp_rows(drawn: list[tuple[LightData, np.void]]) -> np.ndarray:
+    """Return the rows of drawn_lamps as one array."""
+    return np.array([row for _, row in drawn], types.Light.numpy_dtype())
 
 
 def drawn_lamps(

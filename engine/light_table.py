@@ -19,7 +19,7 @@ SUN = 1
 
 def build_lights(
     lamps: np.ndarray, emitters: EmitterTable, environment_power: float, radius: float, device: str, *,
-    linked: bool = False,
+    linked: bool = False, tables: wp.array | None = None,
 ) -> types.Lights:
     """Return the struct that light sampling reads.
 
@@ -33,6 +33,7 @@ def build_lights(
         radius: Of the scene [m], to compare suns with each other.
         device: Where to put it.
         linked: Whether any light is for some objects alone.
+        tables: Of lamps whose node trees vary (lamp_tables.py).
     """
     power = lamp_power(lamps, radius)
     local = int((lamps["kind"] != SUN).sum())
@@ -47,6 +48,7 @@ def build_lights(
     lights = types.Lights()
     lights.lamps = _array(lamps, types.Light, device)
     lights.lamp_count, lights.local_lamp_count = len(lamps), local
+    lights.tables = tables if tables is not None else wp.zeros(1, dtype=wp.vec4, device=device)
     lights.triangles, lights.emitter_offset, lights.emitter_index = emitters.faces, emitters.offset, emitters.index
     lights.emitter_power = _array(emitters.power.astype(np.float32), float, device)
     lights.environment_power = environment_power

@@ -30,7 +30,9 @@ from .reflectors import Reflectors, find_reflectors
 from .scene import CameraData, CameraKind, InstanceTable, MaterialData
 from .subsurface import SubsurfaceUse, subsurface_flags, subsurface_use
 
-__all__ = ["PRINCIPLED_DEFAULTS", "MaterialTable", "attribute_names", "default_material", "materials_in_use"]
+__all__ = [
+    "PRINCIPLED_DEFAULTS", "MaterialTable", "attribute_names", "default_material", "materials_in_use", "single_program",
+]
 
 END = (codes.OP_END, 0, 0, 0)
 
@@ -247,6 +249,29 @@ def material_flags(data: MaterialData) -> int:
     flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
     return flags | (MATERIAL_LEAN_TRANSPARENCY if is_lean_transparency(data.program) else 0)
+
+
+def single_program(
+    program: Program, image_index: Callable[[Hashable], int], origin: tuple[float, float, float], device: str,
+) -> tuple[Materials, int]:
+    """Return the arrays of one program alone, of no mesh, and where its emission starts.
+
+    Args:
+        program: Of a lamp.
+        image_index: Returns the texture of an image key.
+        origin: What the host subtracted from all world coordinates.
+        device: Where to put them.
+    """
+    table = _Table(image_index, lambda name: -1, lambda name: -1)
+    table.constants[codes.CONSTANT_ORIGIN] = (*origin, 0.0)
+    start = table.add_code(program.emission, program, table.add_tables(program))
+    materials = Materials()
+    materials.materials = wp.zeros(1, dtype=Material, device=device)
+    materials.code = wp.array(np.array(table.code, np.int32), dtype=wp.vec4i, device=device)
+    materials.constants = wp.array(np.array(table.constants, np.float32), dtype=wp.vec4, device=device)
+    ramps = np.frombuffer(b"".join(table.ramps) or bytes(16), np.float32).reshape(-1, 4)
+    materials.ramps = wp.array(ramps, dtype=wp.vec4, device=device)
+    return materials, start
 
 
 class _Table:

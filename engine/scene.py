@@ -217,7 +217,7 @@ class LightData:
     linked_to: int = 0
     """Number of the set of receivers that it is for, 0: everything (light_linking.py)"""
     program: Program | None = None
-    """Not drawn in this version: node trees on lamps are reduced to a constant factor in `color`"""
+    """Factor on `color` where the node tree varies (lamp_needs.py); None: it is in `color`"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,8 @@ from .environment_split import EnvironmentSplit
 from .environment_table import equirect_direction
 from .geometry_math import PI, TWO_PI, safe_sqrt
 from .lamp_hit import FAR
-from .lamp_sample import LightSample, sample_lamp
+from .lamp_sample import LightSample
+from .lamp_tables import draw_lamp
 from .light_tree import choose_by_tree
 from .sampling import BELOW_ONE
 from .types import LIGHT_ENVIRONMENT, Environment, Lights, Scene
@@ -241,7 +242,7 @@ def replay(
     s.kind = -1
     # Indices are checked: a candidate may stem from before an edit.
     if kind == CANDIDATE_LAMP and index < scene.lights.lamp_count:
-        s = sample_lamp(scene.lights.lamps[index], position, u)
+        s = draw_lamp(scene.lights, index, position, u)
     if kind == CANDIDATE_EMITTER and index * EMITTER_WORDS < emitters.shape[0]:
         s = sample_baked(emitters, index, position, u)
     if kind == CANDIDATE_WORLD and index < split.table.width * split.table.height:

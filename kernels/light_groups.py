@@ -13,8 +13,9 @@ import warp as wp
 from .environment_table import sample_environment
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
-from .lamp_hit import FAR, lamp_hit
+from .lamp_hit import FAR
 from .lamp_sample import LightSample, sample_lamp
+from .lamp_tables import meet_lamp
 from .light_linking import is_for, lamp_counts
 from .light_tree import choose_by_tree
 from .lights import choose_class, class_total, lamp_chance, sample_emitter
@@ -111,7 +112,7 @@ def add_lamps_met(
         while bounce != ENDED and lamp < scene.lights.lamp_count:
             visibility = scene.lights.lamps[lamp].visibility
             if (visibility & paths.kind[path]) != 0 and (scene.lights.lamps[lamp].flags & LIGHT_HITTABLE) != 0:
-                hit = lamp_hit(scene.lights.lamps[lamp], paths.origin[path], paths.direction[path], t_max)
+                hit = meet_lamp(scene.lights, lamp, paths.origin[path], paths.direction[path], t_max)
                 if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
                     weight = float(1.0)
                     if paths.pdf[path] > 0.0:

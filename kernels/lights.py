@@ -12,7 +12,8 @@ from .environment_table import environment_pdf, sample_environment
 from .geometry_math import TWO_PI, transform_point
 from .intersect import hit_error, instance_shift
 from .lamp_hit import FAR
-from .lamp_sample import LightSample, sample_lamp
+from .lamp_sample import LightSample
+from .lamp_tables import draw_lamp
 from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import BELOW_ONE, sample_triangle
 from .solid_angle import is_close, sample_seen_triangle, sampled_angle, solid_angle, spherical_triangle
@@ -211,7 +212,7 @@ def sample_light_of(
         if lamp < 0:
             return s
         if lamp < lights.lamp_count and (chosen > 0 or lamp < lights.local_lamp_count):
-            s = sample_lamp(lights.lamps[lamp], position, wp.vec2(left, u[1]))
+            s = draw_lamp(lights, lamp, position, wp.vec2(left, u[1]))
         else:
             s = sample_emitter(scene, lamp - lights.local_lamp_count, position, wp.vec2(left, u[1]))
     s.pdf = s.pdf * chance

@@ -8,7 +8,8 @@ import warp as wp
 from .environment_table import environment_pdf
 from .geometry_math import power_heuristic
 from .intersect import MISS, may_emit, triangle_material
-from .lamp_hit import FAR, lamp_hit
+from .lamp_hit import FAR
+from .lamp_tables import meet_lamp
 from .light_linking import lamp_counts
 from .lights import environment_chance, lamp_chance
 from .nodes import evaluate_world
@@ -33,7 +34,7 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
         flags = scene.lights.lamps[i].flags
         visibility = scene.lights.lamps[i].visibility
         if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
-            hit = lamp_hit(scene.lights.lamps[i], origin, direction, t_max)
+            hit = meet_lamp(scene.lights, i, origin, direction, t_max)
             if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
                 weight = float(1.0)
                 if pdf > 0.0:

@@ -37,7 +37,7 @@ def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, s
         gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), 0.0)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def meet_lamps(
     # In:
     scene: Scene,

@@ -23,8 +23,8 @@ from .gbuffer import SurfaceMaterial
 from .geometry_math import PI, TWO_PI, max_component, safe_sqrt, sqr
 from .ggx import SPECULAR_ALPHA2
 from .intersect import world_vertex
-from .lamp_hit import lamp_hit
 from .lamp_sample import LightSample
+from .lamp_tables import meet_lamp
 from .light_candidate import CANDIDATE_EMITTER, CANDIDATE_LAMP, Candidate, candidate_index, candidate_kind
 from .light_linking import is_lit
 from .light_tree import chance_by_tree
@@ -212,7 +212,7 @@ def lamp_light(
     """Return the radiance of a lamp times the ray's share, if the ray meets it before t_max."""
     light = lights.lamps[lamp]
     if (light.flags & LIGHT_HITTABLE) != 0 and (light.visibility & visibility) != 0:
-        hit = lamp_hit(light, origin, direction, t_max)
+        hit = meet_lamp(lights, lamp, origin, direction, t_max)
         if hit.t > 0.0 and is_lit(light.visibility, receives):
             share = float(1.0)
             if density > 0.0:

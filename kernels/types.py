@@ -291,6 +291,8 @@ class Lights:
 
     lamps: wp.array[Light]
     """Local lamps, then suns"""
+    tables: wp.array[wp.vec4]
+    """What lamps' node trees say, see lamp_tables.py"""
     lamp_count: int
     local_lamp_count: int
     triangles: wp.array[wp.vec2i]

@@ -2,7 +2,7 @@
 """Blender's lamps to LightData, in Blender's units; the engine makes radiance of them.
 
 Follows Cycles' sync of lamps (intern/cycles/blender/light.cpp): strength = colour * temperature colour * energy *
-2**exposure, times the constant factor of the node tree. Main thread only; keeps nothing of bpy.
+2**exposure, times what the node tree says: a constant factor or a program. Main thread only; keeps nothing of bpy.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 import bpy
 import numpy as np
 
+from ...engine.program import Program
 from ...engine.report import Report, ReportKind
 from ...engine.scene import LightData, LightKind
 
@@ -20,15 +21,16 @@ __all__ = ["extract_light"]
 _ENERGY_LIMIT = 1e30
 
 
-def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int, factor: tuple[float, float, float],
-                  owner: str, report: Report, light_group: str = "", linked_to: int = 0) -> LightData | None:
+def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int,
+                  shader: tuple[tuple[float, float, float], Program | None], owner: str, report: Report,
+                  light_group: str = "", linked_to: int = 0) -> LightData | None:
     """Copy one lamp instance.
 
     Args:
         light: Evaluated lamp.
         transform: float64 [4, 4], lamp to world.
         visibility: Visibility bits of the lamp's object.
-        factor: Constant colour times strength of the lamp's node tree.
+        shader: Constant colour times strength of the lamp's node tree, and its program if it varies.
         owner: Name for messages, such as `light 'Key'`.
         report: Takes what is not drawn.
         light_group: Of the lamp's object.
@@ -44,7 +46,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
     if not np.isfinite(transform).all():
         report.add(ReportKind.SKIPPED, owner, "has a transform that is not finite and was left out")
         return None
-    color = _strength(light, factor)
+    color = _strength(light, shader[0])
     if not all(math.isfinite(value) and abs(value) < _ENERGY_LIMIT for value in color):
         report.add(ReportKind.SKIPPED, owner, "has a colour or power that is not finite and was left out")
         return None
@@ -59,6 +61,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         "visibility": visibility,
         "light_group": light_group,
         "linked_to": linked_to,
+        "program": shader[1],
     }
     return LightData(**common, **_shape(light))
 

@@ -17,16 +17,17 @@ from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
 from ...engine.scene import MaterialData, MistData, Visibility, WorldData
 from ...engine.sky.image import TO_REC709
-from . import node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
+from . import node_ies, node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
 from .node_graph import Graph
 from .node_shaders import add_shader
 
-__all__ = ["extract_light_factor", "extract_material", "extract_world", "from_xyz"]
+__all__ = ["extract_light_shader", "extract_material", "extract_world", "from_xyz"]
 
 MIST_FALLOFF = {'QUADRATIC': 2.0, 'LINEAR': 1.0, 'INVERSE_QUADRATIC': 0.5}
 RESOLUTION_SMOOTH = 256
 RESOLUTION_MIN = 512
 RESOLUTION_MAX = 4096
+WHITE = (1.0, 1.0, 1.0)
 
 # Linear Rec.709 to other working spaces (ITU-R BT.2087; ACES AP1 with Bradford adaptation).
 FROM_REC709 = {
@@ -42,23 +43,9 @@ def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
-class _ImageNeeded(Exception):
-    """A lamp's node tree reads an image."""
-
-
-class _NoImages:
-    """Image collector of lamps, whose trees are reduced to a constant."""
-
-    def key(self, image, image_user=None):
-        raise _ImageNeeded
-
-    def computed(self, key, name, signature, make):
-        raise _ImageNeeded
-
-
-def make_graph(tree, images, report: Report, owner: str, *, world: bool = False) -> Graph:
+def make_graph(tree, images, report: Report, owner: str, *, world: bool = False, lamp: bool = False) -> Graph:
     """Return a graph over an inlined tree, ready to compile in the file's working space."""
-    graph = Graph(tree, ProgramBuilder(), images, report, owner, world=world)
+    graph = Graph(tree, ProgramBuilder(), images, report, owner, world=world, lamp=lamp)
     space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
     graph.from_rec709 = FROM_REC709.get(space)
     return graph
@@ -223,25 +210,27 @@ def apply_ray_visibility(data: WorldData, world: bpy.types.World) -> None:
             data.visibility &= ~int(bit)
 
 
-def extract_light_factor(light: bpy.types.Light, report: Report) -> tuple[float, float, float]:
-    """Return colour times strength of a lamp's node tree where it is constant, else 1 with a report entry."""
+def extract_light_shader(
+    light: bpy.types.Light, images, report: Report,
+) -> tuple[tuple[float, float, float], Program | None]:
+    """Return a lamp's node tree as a constant factor, and a program where it varies; arguments as of extract_material.
+
+    The factor is 1 where there is a program.
+    """
     if light.node_tree is None or not getattr(light, "use_nodes", True):
-        return 1.0, 1.0, 1.0
+        return WHITE, None
     owner = f"light '{light.name}'"
     inlined = bpy.types.InlineShaderNodes.from_light(light)
-    graph = make_graph(inlined.node_tree, _NoImages(), report, owner)
+    graph = make_graph(inlined.node_tree, images, report, owner, lamp=True)
     output = output_node(inlined.node_tree)
     source = graph.source(output, "Surface") if output is not None else None
     if source is None:
-        return 0.0, 0.0, 0.0
+        return (0.0, 0.0, 0.0), None
     try:
         add_shader(graph, source[0], graph.builder.constant(1.0))
-    except (_ImageNeeded, RecursionError):
-        report.add(ReportKind.APPROXIMATED, owner, "has an image or too many nodes in its tree, which is ignored")
-        return 1.0, 1.0, 1.0
-    factor = graph.builder.constant_emission()
-    if factor is None:
+        factor = graph.builder.constant_emission()
+        return (WHITE, graph.builder.finish()) if factor is None else (factor, None)
+    except (RegisterOverflow, RecursionError) as error:
         report.add(
-            ReportKind.APPROXIMATED, owner, "has a node tree that varies over space or rays; it shines with factor 1")
-        return 1.0, 1.0, 1.0
-    return factor
+            ReportKind.APPROXIMATED, owner, f"has a node tree that is too large ({error}); it shines with factor 1")
+        return WHITE, None

@@ -43,7 +43,8 @@ def translates(*names: str) -> Callable[[Translator], Translator]:
 class Graph:
     """One node tree being compiled."""
 
-    def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False):
+    def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False,
+                 lamp: bool = False):
         """Index the links of `tree`.
 
         Args:
@@ -53,12 +54,14 @@ class Graph:
             report: Receives what can't be followed.
             owner: Name of the data-block for messages.
             world: Whether the tree is seen from directions instead of surface points.
+            lamp: Whether it is a lamp's, which has no mesh.
         """
         self.builder = builder
         self.images = images
         self.report = report
         self.owner = owner
         self.world = world
+        self.lamp = lamp
         self.tree = tree
         self.normal: Value = builder.constant(0.0)
         """Normal of shaders without one: 0 is the shading normal"""

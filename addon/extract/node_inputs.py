@@ -32,6 +32,14 @@ def inverse_rows(matrix) -> list[tuple[float, ...]]:
     return [tuple(row) for row in matrix.inverted_safe()]
 
 
+def uv_coordinate(graph: Graph, name: str) -> Value:
+    """Return a UV map's coordinate; lamps have one map, which Parametric is too, and worlds none."""
+    build = graph.builder
+    if graph.world or (graph.lamp and name):
+        return build.constant(0.0)
+    return build.input("PARAMETRIC") if graph.lamp else build.uv(name)
+
+
 @translates("ShaderNodeTexCoord")
 def texture_coordinate_node(graph: Graph, node, output: str) -> Value:
     """Texture Coordinate."""
@@ -39,7 +47,7 @@ def texture_coordinate_node(graph: Graph, node, output: str) -> Value:
     if node.from_instancer and output in ("Generated", "UV"):
         graph.tell(node, "takes coordinates from the instancer; those of the object are used")
     if output == "UV":
-        return build.constant(0.0) if graph.world else build.uv("")
+        return uv_coordinate(graph, "")
     if output == "Object" and node.object is not None:
         return build.transform(inverse_rows(node.object.matrix_world), build.input("POSITION"))
     if output == "Camera":
@@ -54,12 +62,14 @@ def uv_map_node(graph: Graph, node, output: str) -> Value:
     """UV Map."""
     if node.from_instancer:
         graph.tell(node, "takes coordinates from the instancer; those of the object are used")
-    return graph.builder.uv(node.uv_map)
+    return uv_coordinate(graph, node.uv_map)
 
 
 def attribute(graph: Graph, name: str, output: str) -> Value:
     """Return one output of an attribute."""
     build = graph.builder
+    if graph.lamp:
+        return build.constant(0.0)
     value = build.attribute(name)
     if output == "Alpha":
         return build.component(value, 3)
@@ -146,6 +156,8 @@ def tangent_node(graph: Graph, node, output: str) -> Value:
     """Tangent."""
     if node.direction_type == 'RADIAL':
         return graph.builder.input("TANGENT_" + node.axis)
+    if graph.lamp:
+        return graph.builder.constant(0.0)
     return graph.builder.uv_tangent(node.uv_map, tangent_attribute(node.uv_map))
 
 
@@ -166,6 +178,8 @@ def perturbed_normal(graph: Graph, node, identifier: str = "Normal") -> Value:
 def normal_map_node(graph: Graph, node, output: str) -> Value:
     """Normal Map."""
     space = node.space.removeprefix("BLENDER_")
+    if graph.lamp and space == "TANGENT":
+        return graph.builder.input("NORMAL")
     return graph.builder.normal_map(
         space, graph.value(node, "Color"), graph.value(node, "Strength"), uv_map=node.uv_map,
         tangent_attribute=tangent_attribute(node.uv_map),
@@ -177,7 +191,7 @@ def bump_node(graph: Graph, node, output: str) -> Value:
     """Bump."""
     build = graph.builder
     normal = perturbed_normal(graph, node)
-    if not graph.is_linked(node, "Height"):
+    if graph.lamp or not graph.is_linked(node, "Height"):
         return normal
     distance = graph.value(node, "Distance")
     if node.invert:
@@ -223,10 +237,21 @@ def ambient_occlusion_node(graph: Graph, node, output: str) -> Value:
 
 @translates("ShaderNodeLightFalloff")
 def light_falloff_node(graph: Graph, node, output: str) -> Value:
-    """Light Falloff: quadratic, as light falls off by itself."""
+    """Light Falloff; of meshes quadratic, as light falls off by itself."""
+    build = graph.builder
+    strength, smooth = graph.value(node, "Strength"), graph.value(node, "Smooth")
+    if not graph.lamp:
+        if output != "Quadratic":
+            graph.tell(node, f"asks for {output.lower()} falloff; light falls off with the square of the distance")
+        return strength
+    length = build.input("RAY_LENGTH")
+    square = build.math("MULTIPLY", length, length)
     if output != "Quadratic":
-        graph.tell(node, f"asks for {output.lower()} falloff; light falls off with the square of the distance")
-    return graph.value(node, "Strength")
+        strength = build.math("MULTIPLY", strength, length if output == "Linear" else square)
+    if smooth.constant is not None and smooth.constant[0] <= 0.0:
+        return strength
+    softened = build.math("DIVIDE", square, build.math("ADD", square, build.math("MAXIMUM", smooth, 0.0)))
+    return build.math("MULTIPLY", strength, softened)
 
 
 @translates("ShaderNodeMapping")
@@ -304,7 +329,7 @@ def vector_transform_node(graph: Graph, node, output: str) -> Value:
     return build.space(f"{kind}_TO_{spaces[1]}", vector)
 
 
-@translates("ShaderNodeScript", "ShaderNodeTexIES", "ShaderNodeRaycast", "ShaderNodeShaderToRGB")
+@translates("ShaderNodeScript", "ShaderNodeRaycast", "ShaderNodeShaderToRGB")
 def unknown_node(graph: Graph, node, output: str) -> Value:
     """Nodes that Cycles draws and this engine doesn't."""
     graph.tell(node, "is not supported and counts as 0", ReportKind.SKIPPED)

@@ -8,7 +8,7 @@ from mathutils import Euler, Matrix
 from ...engine.program import Value
 from ...engine.report import ReportKind
 from .node_graph import Graph, translates
-from .node_inputs import is_identity
+from .node_inputs import is_identity, uv_coordinate
 
 __all__: list[str] = []
 
@@ -23,7 +23,7 @@ def coordinate(graph: Graph, node, default: str) -> Value:
 
     def unlinked() -> Value:
         if default == "UV":
-            return build.constant(0.0) if graph.world else build.uv("")
+            return uv_coordinate(graph, "")
         return build.input(default)
 
     vector = build.rgb(graph.linked_or(node, "Vector", unlinked))

@@ -95,7 +95,7 @@ class SceneExtractor:
         self._table: InstanceTable | None = None
         self._lights: list[LightData] | None = None
         self._object_lights: list[LightData] = []
-        self._light_factors: dict[int, tuple[tuple[float, float, float], Report]] = {}
+        self._light_shaders: dict[int, tuple[tuple, Report]] = {}
         self._materials: dict[Hashable, tuple[MaterialData, Report]] = {}
         self._world: WorldData | None = None
         self._world_uid: int | None = None
@@ -195,7 +195,7 @@ class SceneExtractor:
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
-            lamps = self._extract_lights(gathered, changes)
+            lamps = self._extract_lights(gathered, changes, images)
             self._extract_materials(delta, gathered, changes, images, callbacks)
             self._moves.note(depsgraph, changes.objects, gathered, of_mesh, kept, self._table, lamps)
         self._extract_world(delta, depsgraph, changes, images)
@@ -250,18 +250,20 @@ class SceneExtractor:
         finally:
             source.owner.to_mesh_clear()
 
-    def _extract_lights(self, gathered: Gathered, changes: Changes) -> dict[int, LightData | None]:
+    def _extract_lights(
+        self, gathered: Gathered, changes: Changes, images: ImageCollector,
+    ) -> dict[int, LightData | None]:
         """Read all lamps; returns them by their numbers among the instances, None for what can't light anything."""
         lamps = {}
-        if changes.everything:
-            self._light_factors.clear()
+        if changes.everything or changes.images:
+            self._light_shaders.clear()
         is_light = np.array([source.is_light for source in gathered.sources], bool)
         for index in np.flatnonzero(is_light[gathered.source_of[gathered.rows]]).tolist():
             placement = gathered.placements[gathered.rows[index]]
             source = gathered.sources[placement.source]
             lamps[index] = extract_light(
                 source.data, gathered.transforms[index].copy(), placement.visibility,
-                self._light_factor(source.data, changes), f"light '{source.name}'", self._walk_report,
+                self._light_shader(source.data, changes, images), f"light '{source.name}'", self._walk_report,
                 source.light_group, gathered.linking.number(source.receivers))
         self._object_lights = [light for light in lamps.values() if light is not None]
         return lamps
@@ -275,18 +277,18 @@ class SceneExtractor:
             self.counts.lights = len(lights)
         self._lights = lights
 
-    def _light_factor(self, light: bpy.types.Light, changes: Changes) -> tuple[float, float, float]:
-        """Return the factor of a lamp's node tree, read once per change of the lamp."""
-        from .material import extract_light_factor
+    def _light_shader(self, light: bpy.types.Light, changes: Changes, images: ImageCollector) -> tuple:
+        """Return what extract_light_shader says of a lamp's node tree, read once per change of the lamp."""
+        from .material import extract_light_shader
 
         uid = light.original.session_uid
         if uid in changes.lights:
             changes.lights.discard(uid)
-            self._light_factors.pop(uid, None)
-        if uid not in self._light_factors:
+            self._light_shaders.pop(uid, None)
+        if uid not in self._light_shaders:
             light_report = Report()
-            self._light_factors[uid] = (extract_light_factor(light, light_report), light_report)
-        return self._light_factors[uid][0]
+            self._light_shaders[uid] = (extract_light_shader(light, images, light_report), light_report)
+        return self._light_shaders[uid][0]
 
     def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: ImageCollector,
                            callbacks: _Callbacks) -> None:
@@ -329,7 +331,7 @@ class SceneExtractor:
         parts = [*self._mesh_reports.values(), self._world_report]
         if self._images is not None:
             parts.append(self._images.report)
-        parts += [part for _, part in self._light_factors.values()] + [part for _, part in self._materials.values()]
+        parts += [part for _, part in self._light_shaders.values()] + [part for _, part in self._materials.values()]
         for part in parts:
             # Of a thousand meshes and materials few have anything to say.
             if part.counts:

@@ -8,7 +8,7 @@ import numpy as np
 from burnish.engine.materials import default_material
 from burnish.engine.report import Report
 from node_graphs import TOLERANCE, Graph, components, make_image, node_graph, vector
-from node_scenes import Harness, extract_light_factor, extract_material, new_material
+from node_scenes import Harness, extract_light_shader, extract_material, new_material
 
 
 def world_of(graph: Graph, strength: float = 1.5) -> bpy.types.World:
@@ -192,23 +192,33 @@ def report_of_everything(harness: Harness) -> str:
     return report.text()
 
 
-def lamp_factors(harness: Harness) -> list:
-    """Return the factors of a lamp with four node trees, and the report."""
+def lamp_shaders(harness: Harness) -> list:
+    """Return factor and whether there is a program of a lamp with four node trees, and the report."""
     report = Report()
     light = bpy.data.lights.new("Lamp", 'POINT')
     light.use_nodes = True
     nodes, links = light.node_tree.nodes, light.node_tree.links
     emission = next(node for node in nodes if node.bl_idname == "ShaderNodeEmission")
-    factors = [extract_light_factor(light, report)]
+    found = []
+
+    def note():
+        factor, program = extract_light_shader(light, harness.images, report)
+        found.append([list(factor), program is not None])
+
+    note()
     emission.inputs["Color"].default_value = (2.0, 1.0, 0.5, 1.0)
     emission.inputs["Strength"].default_value = 3.0
-    factors.append(extract_light_factor(light, report))
+    note()
     falloff = node_graph("LightFalloff", "Linear", values={"Strength": 5.0})(nodes, links)
     links.new(falloff, emission.inputs["Strength"])
-    factors.append(extract_light_factor(light, report))
+    note()
     links.new(node_graph("TexImage", image=make_image("gobo"))(nodes, links), emission.inputs["Color"])
-    factors.append(extract_light_factor(light, report))
-    return [*factors, report.text()]
+    note()
+    profile = nodes.new("ShaderNodeTexIES")
+    profile.ies = bpy.data.texts.new("no profile")
+    links.new(profile.outputs[0], emission.inputs["Strength"])
+    note()
+    return [*found, report.text()]
 
 
 def oversized_material(harness: Harness) -> list:

@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import warp as wp
-from burnish.addon.extract.material import extract_light_factor, extract_material, extract_world
+from burnish.addon.extract.material import extract_light_shader, extract_material, extract_world
 from burnish.engine.materials import MaterialTable, attribute_names
 from burnish.engine.program import Program
 from burnish.engine.report import Report
@@ -26,7 +26,7 @@ from burnish.kernels.types import Closure, Instance, Scene, ShadingPoint, Textur
 from mathutils import Euler, Matrix
 
 __all__ = [
-    "Harness", "extract_light_factor", "extract_material", "extract_world", "finish", "math", "new_material", "np",
+    "Harness", "extract_light_shader", "extract_material", "extract_world", "finish", "math", "new_material", "np",
     "Report", "Program", "bpy",
 ]
 

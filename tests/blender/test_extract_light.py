@@ -74,3 +74,38 @@ finish(first=first, changed=changed, second=view.delta.lights[0].color)
 ''')
     assert result["first"] == pytest.approx([30.0, 15.0, 0.0])
     assert result["changed"]["lights"] and result["second"] == pytest.approx([60.0, 30.0, 0.0])
+
+
+def test_program_and_updates(run_extraction):
+    """Send a lamp whose tree varies with its program and image, and again when the tree changes."""
+    result = run_extraction(r'''
+light = bpy.data.lights.new("Lamp", 'SPOT'); light.energy, light.color = 10, (1, 1, 1)
+light.use_nodes = True
+nodes, links = light.node_tree.nodes, light.node_tree.links
+emission = next(node for node in nodes if node.type == 'EMISSION')
+emission.inputs['Strength'].default_value = 3
+gobo = nodes.new("ShaderNodeTexImage")
+gobo.image = bpy.data.images.new("gobo", 4, 4)
+mapping = nodes.new("ShaderNodeMapping")
+links.new(nodes.new("ShaderNodeTexCoord").outputs["UV"], mapping.inputs["Vector"])
+links.new(mapping.outputs["Vector"], gobo.inputs["Vector"])
+links.new(gobo.outputs["Color"], emission.inputs["Color"])
+item = link("Lamp", light)
+view = Viewport()
+view.after(lambda: None)
+first = view.delta.lights[0]
+images = len(view.delta.images)
+def turn():
+    mapping.inputs["Scale"].default_value[0] = 2.0
+changed = view.after(turn)
+second = view.delta.lights[0]
+moved = view.after(lambda: setattr(item, "location", (1, 0, 0)))
+third = view.delta.lights[0]
+constant = view.after(lambda: links.remove(emission.inputs["Color"].links[0]))
+finish(color=first.color, images=images, changed=changed, differs=first.program != second.program,
+       kept=second.program == third.program, last=view.delta.lights[0].program is None, text=view.report.text()
+       if hasattr(view, "report") else "")
+''')
+    assert result["color"] == pytest.approx([10.0] * 3) and result["images"] == 1
+    assert result["changed"]["lights"] and result["differs"] and result["kept"] and result["last"]
+    assert "light" not in result["text"]

@@ -49,7 +49,7 @@ def compared(run_nodes: Callable) -> dict[str, dict]:
 def found(run_nodes: Callable) -> dict:
     """Return everything else that tests look at, from one child process, each with a harness of its own."""
     pairs = ", ".join(f"{name!r}: {name}(Harness())" for name in (
-        "compare_worlds", "principled_closure", "material_flags", "report_of_everything", "lamp_factors",
+        "compare_worlds", "principled_closure", "material_flags", "report_of_everything", "lamp_shaders",
         "oversized_material", "default_closures", "scattering_closures"))
     return run_nodes(f"finish({{{pairs}}})")
 
@@ -142,14 +142,13 @@ def test_report_names_what_is_not_drawn(found: dict):
     assert "could not be read" not in text
 
 
-def test_lamp_factor(found: dict):
-    """Reduce lamps' node trees to a factor, and say where that is not exact."""
-    plain, strong, falloff, textured, text = found["lamp_factors"]
-    assert plain == [1.0, 1.0, 1.0]
-    assert strong == pytest.approx([6.0, 3.0, 1.5])
-    assert falloff == pytest.approx([10.0, 5.0, 2.5])
-    assert textured == [1.0, 1.0, 1.0]
-    assert "linear falloff" in text and "image" in text
+def test_lamp_shader(found: dict):
+    """Reduce lamps' node trees to a factor where they are constant, and compile the others."""
+    plain, strong, falloff, textured, profile, text = found["lamp_shaders"]
+    assert plain == [[1.0, 1.0, 1.0], False]
+    assert strong == [pytest.approx([6.0, 3.0, 1.5]), False]
+    assert falloff == textured == profile == [[1.0, 1.0, 1.0], True]
+    assert text.count("light 'Lamp'") == 1 and "no line TILT=; 100 stands in for it" in text
 
 
 def test_large_trees_fall_back(found: dict):
