@@ -258,7 +258,8 @@ class Pipeline:
         direct = self.direct.record(
             graph, parity, scene.scene, views, surfaces, before, reprojection, self.split,
             filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
-            lean_layers=scene.material_table.lean.transparency)
+            lean_layers=scene.material_table.lean.transparency,
+            shaped=scene.material_table.reflectors.shaped)
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
             return self.direct_denoise.record(
@@ -277,6 +278,7 @@ class Pipeline:
             "shadow rays of hits": ("nothing shines", lights.class_count == 0),
             "chains of mirrors": ("no mirror and no glass", not what.mirrors),
             "highlights in mirrors": ("nothing glossy is lit", not what.glossy or lights.class_count == 0),
+            "lobes of other shapes": ("all are Lambert's or round", not scene.material_table.reflectors.shaped),
             "full node machine": ("all materials are plain", lean.surface and lean.flat and lean.transparency),
         }
         for name, (reason, is_absent) in absent.items():

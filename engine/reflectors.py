@@ -28,11 +28,13 @@ class Reflectors:
     """Whether any scatters light from behind"""
     glossy: bool = False
     """Whether any shows highlights of lights: reflects, but neither as a mirror alone nor as glass alone"""
+    shaped: bool = False
+    """Whether any has lobes that the G-buffer doesn't hold: rough diffuse, sheen, toon, stretched reflection"""
 
 
 def find_reflectors(programs: Iterable[Program]) -> Reflectors:
     """Return what the materials with these programs do; what varies may be anything."""
-    sharpest, refracts, scatters, glossy = math.inf, False, False, False
+    sharpest, refracts, scatters, glossy, shaped = math.inf, False, False, False, False
     for program in programs:
         for kind, arguments in closures(program):
             sharpest = min([sharpest, *roughnesses(kind, arguments)])
@@ -40,7 +42,20 @@ def find_reflectors(programs: Iterable[Program]) -> Reflectors:
                 kind == kernel_types.CLOSURE_PRINCIPLED and arguments[codes.ARG_TRANSMISSION] != 0.0)
             scatters |= is_translucent(kind, arguments)
             glossy |= is_glossy(kind, arguments)
-    return Reflectors(sharpest, refracts, scatters, glossy)
+            shaped |= is_shaped(kind, arguments)
+    return Reflectors(sharpest, refracts, scatters, glossy, shaped)
+
+
+def is_shaped(kind: int, arguments: list[float | None]) -> bool:
+    """Return whether a closure's direct light is not that of Lambert's lobe and a round one, or may not be."""
+    if kind == kernel_types.CLOSURE_PRINCIPLED:
+        names = (codes.ARG_DIFFUSE_ROUGHNESS, codes.ARG_SHEEN, codes.ARG_ANISOTROPIC)
+        return any(arguments[slot] != 0.0 for slot in names)
+    if kind == kernel_types.CLOSURE_DIFFUSE:
+        return arguments[codes.ARG_ROUGHNESS] != 0.0
+    if kind == kernel_types.CLOSURE_GLOSSY:
+        return arguments[codes.ARG_ANISOTROPIC] != 0.0
+    return kind in (kernel_types.CLOSURE_SHEEN, kernel_types.CLOSURE_TOON_DIFFUSE, kernel_types.CLOSURE_TOON_GLOSSY)
 
 
 def is_translucent(kind: int, arguments: list[float | None]) -> bool:

@@ -27,7 +27,9 @@ SURFACE_TRANSMITS = wp.constant(wp.uint32(1 << 29))
 """`transmitted` holds a colour"""
 SURFACE_COATED = wp.constant(wp.uint32(1 << 30))
 """`coat` holds a second lobe"""
-SURFACE_FLAGS = wp.constant(wp.uint32(0x7F000000))
+SURFACE_SHAPED = wp.constant(wp.uint32(1 << 31))
+"""Diffuse light isn't Lambert's, or highlights are stretched: direct_shapes.py asks the material itself"""
+SURFACE_FLAGS = wp.constant(wp.uint32(0xFF000000))
 
 # Grazing reflectance up to this fits its 8 bits, up to twice of it those of SURFACE_BRIGHT.
 GRAZING_MAX = wp.constant(2.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .gbuffer import GBuffer
+from .gbuffer import SURFACE_SHAPED, GBuffer
 from .gbuffer_rays import PrimaryHits, light_weight, primary_ray, veil_flag, veiled_light
 from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
 from .intersect import MISS
@@ -17,10 +17,19 @@ from .layering import prepare_bsdf
 from .nodes import run
 from .reflectance import bsdf_albedo
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
-from .types import Closure, Scene
+from .types import Bsdf, Closure, Scene
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.func
+def shape_flag(bsdf: Bsdf) -> wp.uint32:
+    """Return SURFACE_SHAPED where light falls into lobes that the G-buffer's material doesn't have, else 0."""
+    rough = bsdf.diffuse_b > 0.0 and bsdf.pick_diffuse + bsdf.pick_translucent > 0.0
+    if rough or bsdf.pick_sheen > 0.0 or (bsdf.pick_specular > 0.0 and bsdf.alpha_x != bsdf.alpha_y):
+        return SURFACE_SHAPED
+    return wp.uint32(0)
 
 
 @wp.func
@@ -50,7 +59,7 @@ def shade_pixel(view: View, scene: Scene, width: int, layers: int, hits: Primary
         store_surface(
             view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
             wp.dot(bsdf.specular_normal, point.wo), veiled_light(hits, layers, pixel, bsdf.emission),
-            light_weight(hits, layers, pixel), veil_flag(hits, layers, pixel), gbuffer, pixel)
+            light_weight(hits, layers, pixel), veil_flag(hits, layers, pixel) | shape_flag(bsdf), gbuffer, pixel)
 
 
 @wp.kernel

@@ -38,6 +38,7 @@ from .lobe_setup import (
 from .normals import valid_specular_normal
 from .sheen import sheen_albedo, sheen_transform
 from .thin_film import FILM_MIN, film_metal, film_schlick
+from .toon import toon_lobe
 from .types import (
     CLOSURE_DIFFUSE,
     CLOSURE_GLASS,
@@ -45,6 +46,8 @@ from .types import (
     CLOSURE_PRINCIPLED,
     CLOSURE_REFRACTION,
     CLOSURE_SHEEN,
+    CLOSURE_TOON_DIFFUSE,
+    CLOSURE_TOON_GLOSSY,
     CLOSURE_TRANSLUCENT,
     Bsdf,
     Closure,
@@ -282,6 +285,13 @@ def prepare_simple(tables: Tables, closure: Closure, point: ShadingPoint, bsdf: 
         if wp.abs(transform[0]) >= 1.0e-5:
             bsdf.sheen = color * sheen_albedo(n_dot_o, roughness)
         bsdf.pick_sheen = mean_component(bsdf.sheen)
+    elif closure.kind == CLOSURE_TOON_DIFFUSE or closure.kind == CLOSURE_TOON_GLOSSY:
+        lobe = toon_lobe(closure.roughness, closure.anisotropic, closure.kind == CLOSURE_TOON_GLOSSY)
+        bsdf.sheen_normal = bsdf.normal
+        bsdf.sheen_a = lobe[0]
+        bsdf.sheen_b = lobe[1]
+        bsdf.sheen = color
+        bsdf.pick_sheen = mean_component(color)
     return bsdf
 
 

@@ -145,15 +145,11 @@ def share_first_light(
         point = surface_point(scene, make_hit(ray[3], paths.hit[path], paths.barycentrics[path]), rgb(ray))
         bsdf = prepare_bsdf(scene.tables, paths.closure[path], point)
         albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
-        sheen = wp.vec3(0.0, 0.0, 0.0)
-        if bsdf.pick_sheen > 0.0:
-            # Diffuse, as in Cycles.
-            sheen = bsdf.sheen
         # Light of the shadow ray and of a ray reflected here has not been below the surface.
         bsdf = without_subsurface(bsdf, paths.closure[path]).bsdf
         arriving = split_out.throughput[path]
-        split_out.diffuse_color[path] = wp.cw_mul(arriving, albedo.diffuse + albedo.translucent + sheen)
-        split_out.glossy_color[path] = wp.cw_mul(arriving, albedo.specular - sheen)
+        split_out.diffuse_color[path] = wp.cw_mul(arriving, albedo.diffuse + albedo.translucent)
+        split_out.glossy_color[path] = wp.cw_mul(arriving, albedo.specular)
         split_out.transmission_color[path] = wp.cw_mul(arriving, albedo.transmitted)
         k = int(0)
         while k < 2:

@@ -17,6 +17,7 @@ from .lobe_setup import GLASS_REFRACTION, GLASS_THIN
 from .normals import bump_shadowing
 from .sheen import evaluate_sheen
 from .thin_film import film_metal, film_schlick
+from .toon import evaluate_toon, is_glossy_toon, is_toon
 from .types import Bsdf, BsdfValue
 
 LOBE_NONE = wp.constant(0)
@@ -175,7 +176,7 @@ def evaluate_specular_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) 
 
 @wp.func
 def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) -> BsdfValue:
-    """Evaluate diffuse, translucent and sheen; `diffuse` equals `f`, as Cycles counts sheen as diffuse."""
+    """Evaluate diffuse, translucent, sheen and toon; `diffuse` is all but glossy toon, as in Cycles."""
     value = BsdfValue()
     n = bsdf.normal
     cos_i = wp.dot(n, wi)
@@ -196,13 +197,22 @@ def evaluate_diffuse_lobes(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, sampled: int) -
         f = oren_nayar(n, view, wi, bsdf.diffuse_a, bsdf.diffuse_b, bsdf.diffuse_multiscatter)
         value.f = wp.cw_mul(weight, f) * shadow
         value.pdf = pick * wp.abs(cos_i) * INV_PI
-    if bsdf.pick_sheen > 0.0:
-        lobe = evaluate_sheen(bsdf.sheen_normal, wo, wi, bsdf.sheen_a, bsdf.sheen_b)
-        if lobe > 0.0:
-            shadow = bump_shadowing(bsdf.sheen_normal, bsdf.smooth_normal, wi, True, True)
-            value.f += bsdf.sheen * (lobe * shadow)
-            value.pdf += bsdf.pick_sheen * lobe
     value.diffuse = value.f
+    if bsdf.pick_sheen > 0.0:
+        glossy = is_glossy_toon(bsdf.sheen_a, bsdf.sheen_b)
+        lobe = wp.vec2(0.0, 0.0)
+        if is_toon(bsdf.sheen_a):
+            lobe = evaluate_toon(bsdf.sheen_normal, wo, wi, bsdf.sheen_a, bsdf.sheen_b)
+        else:
+            density = evaluate_sheen(bsdf.sheen_normal, wo, wi, bsdf.sheen_a, bsdf.sheen_b)
+            lobe = wp.vec2(density, density)
+        if lobe[1] > 0.0:
+            reject = not glossy or sampled != LOBE_SHEEN
+            shadow = bump_shadowing(bsdf.sheen_normal, bsdf.smooth_normal, wi, not glossy, reject)
+            value.f += bsdf.sheen * (lobe[0] * shadow)
+            value.pdf += bsdf.pick_sheen * lobe[1]
+        if not glossy:
+            value.diffuse = value.f
     return value
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from . import node_codes as codes
-from .geometry_math import mean_component, normalize_or
+from .geometry_math import max_component, normalize_or
 from .types import (
     CLOSURE_NONE,
     CLOSURE_PRINCIPLED,
@@ -130,9 +130,13 @@ def read_closure(
 
 @wp.func
 def drawing_weight(materials: Materials, registers: wp.array[wp.vec4], sub: int, first: int) -> float:
-    """Return the weight by which a closure competes with its neighbours: its share of light where that is known."""
+    """Return the weight by which a closure competes with its neighbours: its share of light where that is known.
+
+    By the brightest channel: divided by such odds, a colour of a mix that makes no light is never above 1, which the
+    G-buffer could not hold.
+    """
     weight = wp.max(argument(materials, registers, first, codes.ARG_WEIGHT)[0], 0.0)
     if (sub & 255) == CLOSURE_PRINCIPLED:
         return weight
     # The colour of a simple BSDF is its albedo; a black one contributes nothing and may never be drawn.
-    return weight * wp.max(mean_component(xyz(argument(materials, registers, first, codes.ARG_COLOR))), 0.0)
+    return weight * wp.max(max_component(xyz(argument(materials, registers, first, codes.ARG_COLOR))), 0.0)

@@ -35,6 +35,7 @@ from .lobes import (
 )
 from .sampling import BELOW_ONE, sample_cosine
 from .sheen import sample_sheen
+from .toon import is_glossy_toon, is_toon, sample_toon
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, BsdfSample, BsdfValue
 
 __all__ = ["evaluate_bsdf", "prepare_bsdf", "sample_bsdf"]
@@ -153,7 +154,12 @@ def sample_lobe(bsdf: Bsdf, wo: wp.vec3, lobe: int, u: wp.vec2, choice: float) -
     elif lobe == LOBE_DIFFUSE:
         s.wi = to_frame(bsdf.normal, sample_cosine(u))
     elif bsdf.pick_sheen > 0.0 and lobe == LOBE_SHEEN:
-        s.wi = sample_sheen(bsdf.sheen_normal, wo, bsdf.sheen_a, bsdf.sheen_b, u)
+        if is_toon(bsdf.sheen_a):
+            s.wi = sample_toon(bsdf.sheen_normal, wo, bsdf.sheen_a, bsdf.sheen_b, u)
+            if is_glossy_toon(bsdf.sheen_a, bsdf.sheen_b):
+                s.kind = VISIBLE_GLOSSY
+        else:
+            s.wi = sample_sheen(bsdf.sheen_normal, wo, bsdf.sheen_a, bsdf.sheen_b, u)
     elif bsdf.pick_translucent > 0.0 and lobe == LOBE_TRANSLUCENT:
         s.wi = to_frame(-bsdf.normal, sample_cosine(u))
         s.kind = VISIBLE_TRANSMISSION

@@ -24,6 +24,7 @@ from .ggx import ggx_lambda, reflect_about, sample_ggx_normal
 from .lobe_setup import GLASS_REFRACTION, GLASS_THIN, alpha_roughness
 from .lobes import base_reflectance, glass_reflectance
 from .reflection_types import REFLECTANCE_MIN
+from .toon import is_toon, toon_albedo
 from .types import Bsdf, Tables
 
 # Least share of a lobe's albedo that its reflectance along the normal decides (1 - Schlick's weight); see fit_lobe.
@@ -44,9 +45,10 @@ class BsdfAlbedo:
     """Shares of light from a white surrounding that go to one view."""
 
     diffuse: wp.vec3
+    """Sheen included"""
     translucent: wp.vec3
     specular: wp.vec3
-    """All other reflection: metal, dielectric, glass, sheen and coat"""
+    """All other reflection: metal, dielectric, glass and coat"""
     transmitted: wp.vec3
     """Specular transmission: of glass, refraction and thin glass"""
     reflected: wp.vec3
@@ -266,8 +268,11 @@ def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
     if bsdf.pick_glass > 0.0:
         result = add_glass_lobe(tables, bsdf, cos_o, result)
     if bsdf.pick_sheen > 0.0:
-        # Its lobe integrates to 1. As a rough lobe it reflects about as much along the normal as it does at all.
-        result = add_lobe(result, bsdf.sheen, bsdf.sheen, bsdf.sheen, 1.0)
+        # Its lobe integrates to 1, and Cycles counts it as diffuse. So do frames count glossy toon lobes, for wide ones.
+        share = float(1.0)
+        if is_toon(bsdf.sheen_a):
+            share = toon_albedo(bsdf.sheen_a, bsdf.sheen_b)
+        result.diffuse = result.diffuse + bsdf.sheen * share
     if bsdf.pick_coat > 0.0:
         result = add_coat_lobe(tables, bsdf, wp.dot(bsdf.coat_normal, wo), result)
     return result

@@ -97,8 +97,8 @@ def miss_light(
         share = world_ray_share(split, first_density(reflection, paths, slot), direction)
         light = soft_radiance(world, split.threshold, scene.luminance)
         light = light + excess_radiance(world, split.threshold, scene.luminance) * share
-        if reflection == GATHERED and paths.state[slot] > 1:
-            # Hits sample the whole world, if anyone does.
+        if (reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE) and paths.state[slot] > 1:
+            # Hits that such rays go on from sample the whole world, if anyone does (branch.direct).
             light = world * wp.where(scene.lights.environment_class >= 0, 0.0, 1.0)
     gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), SAMPLE_FAR)
     rays.found[slot] = FOUND_WORLD

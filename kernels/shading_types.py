@@ -150,8 +150,10 @@ class Bsdf:
     diffuse_multiscatter: wp.vec3
     """Oren-Nayar terms of the diffuse and the translucent lobe (b = 0: Lambert)"""
     sheen: wp.vec3
+    """Or of the toon lobe"""
     sheen_normal: wp.vec3
     sheen_a: float
+    """This and the next: shape of the lobe; see sheen.py, and toon.py for values below 0"""
     sheen_b: float
     emission: wp.vec3
     """Radiance leaving towards `wo`, all of it"""

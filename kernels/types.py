@@ -35,6 +35,8 @@ CLOSURE_GLASS = wp.constant(4)
 CLOSURE_REFRACTION = wp.constant(5)
 CLOSURE_TRANSLUCENT = wp.constant(6)
 CLOSURE_SHEEN = wp.constant(7)
+CLOSURE_TOON_DIFFUSE = wp.constant(8)
+CLOSURE_TOON_GLOSSY = wp.constant(9)
 
 # Light.kind
 LIGHT_POINT = wp.constant(0)

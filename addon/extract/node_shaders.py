@@ -240,6 +240,13 @@ def as_diffuse(what: str) -> Callable[[Graph, object, Value], None]:
     return translate
 
 
+def toon(graph: Graph, node, weight: Value) -> None:
+    """Toon BSDF."""
+    graph.builder.closure(
+        "TOON_" + node.component, weight, color=graph.value(node, "Color"), roughness=graph.value(node, "Size"),
+        anisotropic=graph.value(node, "Smooth"), normal=perturbed_normal(graph, node))
+
+
 def sheen(graph: Graph, node, weight: Value) -> None:
     """Sheen BSDF."""
     if node.distribution == 'ASHIKHMIN':
@@ -248,7 +255,7 @@ def sheen(graph: Graph, node, weight: Value) -> None:
 
 
 def emission(graph: Graph, node, weight: Value) -> None:
-    """Emission, and Background in worlds."""
+    """Emission, and Background, which is the same on surfaces."""
     graph.builder.emit(graph.value(node, "Color"), graph.value(node, "Strength"), weight)
 
 
@@ -268,12 +275,6 @@ def holdout(graph: Graph, node, weight: Value) -> None:
     graph.builder.holdout(weight)
 
 
-def background(graph: Graph, node, weight: Value) -> None:
-    """Background, which only worlds show."""
-    if graph.world:
-        emission(graph, node, weight)
-
-
 SHADERS: dict[str, Callable[[Graph, object, Value], None]] = {
     "ShaderNodeBsdfPrincipled": principled,
     "ShaderNodeBsdfDiffuse": diffuse,
@@ -284,13 +285,13 @@ SHADERS: dict[str, Callable[[Graph, object, Value], None]] = {
     "ShaderNodeBsdfMetallic": metallic,
     "ShaderNodeBsdfTranslucent": simple("TRANSLUCENT"),
     "ShaderNodeBsdfSheen": sheen,
-    "ShaderNodeBsdfToon": as_diffuse("a toon shader"),
+    "ShaderNodeBsdfToon": toon,
     "ShaderNodeBsdfHair": as_diffuse("a hair shader"),
     "ShaderNodeBsdfHairPrincipled": as_diffuse("a hair shader"),
     "ShaderNodeSubsurfaceScattering": subsurface_scattering,
     "ShaderNodeBsdfTransparent": transparent,
     "ShaderNodeBsdfRayPortal": ray_portal,
     "ShaderNodeEmission": emission,
-    "ShaderNodeBackground": background,
+    "ShaderNodeBackground": emission,
     "ShaderNodeHoldout": holdout,
 }

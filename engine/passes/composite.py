@@ -34,8 +34,8 @@ LIGHT_PASSES = tuple(f"{lobe} {part}" for lobe in PASS_LOBES for part in PASS_PA
 """Names of the pictures that read_light_pass() gives, and light_split.py for the path tracer.
 
 (direct + indirect) * color is a lobe's light; all three lobes, emission and the world make up the picture. Diffuse
-transmission counts as diffuse, sheen as glossy (the path tracer: diffuse, as in Cycles). Of real-time frames
-Transmission Direct is always 0: light arrives through glass by rays that may meet anything, so all of it is indirect.
+transmission and sheen count as diffuse, as in Cycles. Of real-time frames Transmission Direct is always 0: light
+arrives through glass by rays that may meet anything, so all of it is indirect.
 """
 
 DEBUG_LIGHT = {

@@ -13,6 +13,7 @@ from ...kernels import (
     direct_emitters,
     direct_shade,
     direct_shadow,
+    direct_shapes,
     flat_tracing,
     shadow_lights,
 )
@@ -131,7 +132,7 @@ class DirectLightPass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
-        textured: bool, local_power: float, lean_layers: bool = False,
+        textured: bool, local_power: float, lean_layers: bool = False, shaped: bool = False,
     ) -> DirectLight:
         """Add the launches of a frame of one parity; return its light, valid until the next frame.
 
@@ -148,6 +149,7 @@ class DirectLightPass:
             textured: Whether the emission of any sampled triangle is a program (EmitterTable.textured).
             local_power: Power of all lamps with a place and all emissive triangles [W], as the light tree was given.
             lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
+            shaped: Whether there are materials that direct_shapes.py has to ask (Reflectors.shaped).
         """
         self._views = views
         with graph.section("Direct light"):
@@ -175,10 +177,11 @@ class DirectLightPass:
                 shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
-            graph.launch(
-                direct_shade.shade_direct, self.slots,
-                [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
-                 self.rays], [self._packed])
+            for kernel in (direct_shade.shade_direct, *((direct_shapes.shape_direct,) if shaped else ())):
+                graph.launch(
+                    kernel, self.slots,
+                    [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
+                     self.rays], [self._packed])
         return self.light
 
     def _record_samples(

@@ -147,6 +147,7 @@ def material_flags(harness: Harness) -> dict[str, tuple]:
         "alpha": node_graph("BsdfPrincipled", values={"Alpha": 0.9}),
         "alpha_linked": node_graph("BsdfPrincipled", links_to={"Alpha": lambda n, t: components(n, t)[0]}),
         "emission": node_graph("Emission", values={"Color": (1.0, 2.0, 3.0, 1.0), "Strength": 2.0}),
+        "background": node_graph("Background", values={"Color": (1.0, 2.0, 3.0, 1.0), "Strength": 0.5}),
         "emission_textured": node_graph("Emission", links_to={"Color": vector}),
         "mix_with_factor_0": mixed(diffuse, mixed(emission, transparent), factor=0.0),
         "mix_half": mixed(transparent, emission),

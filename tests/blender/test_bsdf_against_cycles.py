@@ -39,7 +39,7 @@ FIELDS = {
     "Sheen Weight": "sheen", "Sheen Roughness": "sheen_roughness", "Sheen Tint": "sheen_tint",
     "Diffuse Roughness": "diffuse_roughness", "Thin Wall": "thin_wall", "Subsurface Weight": "subsurface",
     "Subsurface Anisotropy": "subsurface_anisotropy", "Thin Film Thickness": "film_thickness",
-    "Thin Film IOR": "film_ior",
+    "Thin Film IOR": "film_ior", "Size": "roughness", "Smooth": "anisotropic",
 }
 """Sockets of the nodes and fields of the closure"""
 
@@ -47,7 +47,8 @@ NODES = {
     "ShaderNodeBsdfPrincipled": types.CLOSURE_PRINCIPLED, "ShaderNodeBsdfDiffuse": types.CLOSURE_DIFFUSE,
     "ShaderNodeBsdfAnisotropic": types.CLOSURE_GLOSSY, "ShaderNodeBsdfGlass": types.CLOSURE_GLASS,
     "ShaderNodeBsdfRefraction": types.CLOSURE_REFRACTION, "ShaderNodeBsdfTranslucent": types.CLOSURE_TRANSLUCENT,
-    "ShaderNodeBsdfSheen": types.CLOSURE_SHEEN,
+    "ShaderNodeBsdfSheen": types.CLOSURE_SHEEN, "ShaderNodeBsdfToonDIFFUSE": types.CLOSURE_TOON_DIFFUSE,
+    "ShaderNodeBsdfToonGLOSSY": types.CLOSURE_TOON_GLOSSY,
 }
 
 SCRIPT = r"""
@@ -87,7 +88,7 @@ for i, case in enumerate(cases):
     node = tree.nodes.new(case["node"])
     tree.links.new(node.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs[0])
     if case["distribution"]:
-        node.distribution = case["distribution"]
+        setattr(node, "component" if "Toon" in case["node"] else "distribution", case["distribution"])
     for name, value in case["inputs"].items():
         if isinstance(value, list):
             value = [*value, 1.0][:len(node.inputs[name].default_value)]
@@ -223,6 +224,14 @@ def sheen_cases() -> list[dict]:
             for r in (.1, .3, .5, .7, 1.0) for c in (.1, .3, .6, .95)]
 
 
+def toon_cases() -> list[dict]:
+    """Return cones of several widths and edges, also of bumped surfaces."""
+    return [case("ShaderNodeBsdfToon", {"Color": [.8, .5, .2], "Size": size, "Smooth": smooth}, c, distribution=kind,
+                 tilt=tilt)
+            for kind in ('DIFFUSE', 'GLOSSY') for size, smooth in ((.5, 0.0), (.3, .3), (1.0, .5), (.1, 1.0), (0.0, .4))
+            for c, tilt in ((.9, None), (.4, None), (.7, .4))]
+
+
 def integrate(cases: list[dict]) -> np.ndarray:
     """Return our integrals of the cases under the three skies."""
     closures, points = [], []
@@ -232,13 +241,15 @@ def integrate(cases: list[dict]) -> np.ndarray:
             fields[FIELDS[name]] = int(value) if isinstance(value, bool) else value
         plane = view(entry["cosine"])
         normal = entry["normal"] or plane
-        closures.append(closure(kind=int(NODES[entry["node"]]), normal=normal, coat_normal=normal,
+        kind = NODES[entry["node"] + (entry["distribution"] if "Toon" in entry["node"] else "")]
+        closures.append(closure(kind=int(kind), normal=normal, coat_normal=normal,
                                 multiscatter=int(entry["distribution"] != 'GGX'), **fields))
         points.append(point((0, 0, 1), backfacing=int(entry["backfacing"]), normal=plane))
     return moments(closures, points, 1 << 14)
 
 
-@pytest.mark.parametrize("group", [opaque_cases, transmissive_cases, film_cases, bumped_cases, sheen_cases])
+@pytest.mark.parametrize("group", [
+    opaque_cases, transmissive_cases, film_cases, bumped_cases, sheen_cases, toon_cases])
 def test_lobes_agree_with_cycles(
     group: Callable[[], list[dict]], tmp_path: Path, run_python: Callable[..., subprocess.CompletedProcess]
 ) -> None:

@@ -118,6 +118,7 @@ def test_subsurface_scattering(found: dict):
     ("alpha", (True, False, None)),
     ("alpha_linked", (True, False, None)),
     ("emission", (False, True, [2.0, 4.0, 6.0])),
+    ("background", (False, True, [0.5, 1.0, 1.5])),
     ("emission_textured", (False, True, None)),
     ("mix_with_factor_0", (False, False, None)),
     ("mix_half", (True, True, [0.5, 0.5, 0.5])),
@@ -136,7 +137,7 @@ def test_flags(found: dict, graph: str, flags: tuple):
 def test_report_names_what_is_not_drawn(found: dict):
     """Name material and node of everything that is approximated, and never fail."""
     text = found["report_of_everything"]
-    for words in ("subsurface", "Wireframe", "volume", "toon", "Light Path"):
+    for words in ("subsurface", "Wireframe", "volume", "hair", "Light Path"):
         assert words in text, words
     assert "material 'Everything'" in text
     assert "could not be read" not in text

@@ -109,6 +109,9 @@ FEATURES = {
         "shadow rays of hits", SceneDelta(world=scenes.world(0.3)), SceneDelta(world=scenes.world(0.0)),
         ("choose_cache_lights", "cache_shadows"), ("Cache lights", "Cache shadow rays"), ("cache shadow rays",),
         room(lights=(), background=0.0)),
+    "light of other shapes": Feature(
+        "lobes of other shapes", ball(scenes.material("DIFFUSE", color=0.5, roughness=0.5)), ball(MATTE),
+        ("shape_direct",)),
     "materials beyond the lean machine": Feature(
         "full node machine", ball(scenes.material("GLOSSY", color=0.5, roughness=0.8)), ball(MATTE),
         ("shade_primary", "evaluate_cache_materials")),

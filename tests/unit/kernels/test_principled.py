@@ -45,6 +45,8 @@ MATERIALS = {
     "refraction node": dict(kind=int(types.CLOSURE_REFRACTION), roughness=0.8),
     "translucent node": dict(kind=int(types.CLOSURE_TRANSLUCENT)),
     "sheen node": dict(kind=int(types.CLOSURE_SHEEN), roughness=0.6),
+    "toon node": dict(kind=int(types.CLOSURE_TOON_DIFFUSE), roughness=0.5, anisotropic=0.3),
+    "glossy toon node": dict(kind=int(types.CLOSURE_TOON_GLOSSY), roughness=0.7, anisotropic=0.2),
 }
 SEEN = [(1.0, 0), (0.5, 0), (0.15, 0), (0.5, 1)]
 """(cosine of the view, back face)"""
