@@ -35,11 +35,11 @@ BLOCK_SIZES = dict.fromkeys(
      "reference_film", "reference_lean", "reference_plain", "denoise_guides_lean", "first_hits", "occlusion",
      "shadow_layers", "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers", "gbuffer_layers_lean",
      "gbuffer_behind", "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials",
-     "cache_lights", "cache_programs", "decided_layers", "direct_candidates", "direct_shadow", "direct_shade", "direct_shapes",
-     "probe_interpolate", "reproject", "probe_blend", "probe_gather", "probe_light", "reflection_probes",
-     "reflection_choice", "reflection_choice_glossy", "reflection_lean", "reflection_materials", "reflection_refract",
-     "reflection_start", "reflection_tail", "reflection_trace", "reference_subsurface", "subsurface_walk",
-     "direct_temporal", "antialias", "reflection_upscale"),
+     "cache_lights", "cache_programs", "decided_layers", "direct_candidates", "direct_shadow", "direct_shade",
+     "direct_shapes", "probe_interpolate", "reproject", "probe_blend", "probe_gather", "probe_light",
+     "reflection_probes", "reflection_choice", "reflection_choice_glossy", "reflection_lean", "reflection_materials",
+     "reflection_refract", "reflection_start", "reflection_tail", "reflection_trace", "reference_subsurface",
+     "subsurface_walk", "direct_temporal", "antialias", "reflection_upscale"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
 

@@ -82,7 +82,8 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "",
                    f"reflections of a roughness from {limit:.3g} on take diffuse light{until}", rough)
     if facts.anisotropic:
-        report.add(ReportKind.APPROXIMATED, "", f"anisotropic reflections, but of lights, are drawn round{until}", facts.anisotropic)
+        report.add(ReportKind.APPROXIMATED, "", f"anisotropic reflections, but of lights, are drawn round{until}",
+                   facts.anisotropic)
     if facts.refractive:
         report.add(ReportKind.APPROXIMATED, "",
                    f"refracted light is followed over at most {settings.reflections.bounces} more surfaces{until}",

@@ -268,7 +268,7 @@ def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
     if bsdf.pick_glass > 0.0:
         result = add_glass_lobe(tables, bsdf, cos_o, result)
     if bsdf.pick_sheen > 0.0:
-        # Its lobe integrates to 1, and Cycles counts it as diffuse. So do frames count glossy toon lobes, for wide ones.
+        # Its lobe integrates to 1, and Cycles counts it as diffuse. Frames count glossy toon lobes so too.
         share = float(1.0)
         if is_toon(bsdf.sheen_a):
             share = toon_albedo(bsdf.sheen_a, bsdf.sheen_b)
