@@ -22,11 +22,16 @@ SIZES = ((9, 7), (16, 8), (1, 1), (5, 3))
 EXAMPLES = {"quick": 12, "full": 150}
 SPECIAL = (0.0, 1.0, -1.0, 1e-42, 1e-12, 1e12, 3.4e38, math.inf, -math.inf, math.nan)
 """Values that one in eight numbers has"""
-CLOSURES = ("DIFFUSE", "GLOSSY", "GLASS", "REFRACTION", "TRANSLUCENT", "SHEEN")
+CLOSURES = (
+    "DIFFUSE", "GLOSSY", "GLASS", "REFRACTION", "TRANSLUCENT", "SHEEN", "TOON_DIFFUSE", "TOON_GLOSSY")
 ARGUMENTS = {
     "roughness": 0.5, "metallic": 1.0, "ior": 3.0, "transmission": 1.0, "coat": 1.0, "coat_roughness": 0.5,
-    "sheen": 1.0, "anisotropic": 1.0, "specular_level": 1.0, "subsurface": 1.0, "diffuse_roughness": 1.0}
+    "sheen": 1.0, "anisotropic": 1.0, "specular_level": 1.0, "subsurface": 1.0, "diffuse_roughness": 1.0,
+    "sheen_roughness": 1.0, "sheen_tint": 1.0, "coat_ior": 3.0, "coat_tint": 1.0, "specular_tint": 1.0,
+    "anisotropic_rotation": 1.0, "thin_wall": 1.0, "film_thickness": 1000.0, "subsurface_radius": 1.0}
 """Arguments of the Principled BSDF and what random ones reach up to"""
+METHODS = ("WALK", "SKIN", "LEGACY")
+VECTORS = ("normal", "coat_normal", "tangent")
 
 
 class BadPicture(AssertionError):
@@ -111,11 +116,23 @@ def random_material(choose: Chooser) -> MaterialData:
     emission = abs(value(choose, 0, 5)) if choose.whole(0, 3) == 3 else 0.0
     color = tuple(value(choose, 0, 1) for _ in range(3))
     if choose.whole(0, 2) < 2:
-        names = [choose.pick(list(ARGUMENTS)) for _ in range(choose.whole(0, 3))]
-        chosen = {name: value(choose, 0.0, ARGUMENTS[name]) for name in names}
+        names = [choose.pick(list(ARGUMENTS)) for _ in range(choose.whole(0, 4))]
+        chosen: dict[str, Any] = {name: value(choose, 0.0, ARGUMENTS[name]) for name in names}
+        if "film_thickness" in chosen:
+            chosen["film_ior"] = value(choose, 1.0, 3.0)
+        if "subsurface_radius" in chosen:
+            chosen |= {"subsurface": value(choose, 0, 1), "subsurface_anisotropy": value(choose, -1, 1),
+                       "subsurface_ior": value(choose, 1, 2), "subsurface_method": choose.pick(METHODS)}
+        if choose.whole(0, 3) == 3:
+            chosen[choose.pick(VECTORS)] = tuple(value(choose, -1, 1) for _ in range(3))
+        if choose.whole(0, 3) == 3:
+            chosen["tangent"] = (0.0, 0.0, 1.0)
         return principled(1.0, emission, color=color, **chosen)
+    film = {}
+    if choose.whole(0, 3) == 3:
+        film = {"film_thickness": value(choose, 0, 1000), "film_ior": value(choose, 1, 3)}
     return material(choose.pick(CLOSURES), 1.0, emission, color=color, roughness=value(choose, 0, 1),
-                    ior=value(choose, 1, 2))
+                    ior=value(choose, 1, 2), anisotropic=value(choose, -1, 1), tangent=(0.0, 0.0, 1.0), **film)
 
 
 def random_transform(choose: Chooser) -> np.ndarray:
