@@ -76,7 +76,6 @@ MATERIAL_FLAT_SHIFT = wp.constant(16)
 @wp.struct
 class Instance:
     """One placed mesh. Rows of the affine transforms; object space is the mesh's own."""
-
     to_world: wp.mat44
     to_object: wp.mat44
     mesh: int
@@ -113,7 +112,6 @@ class Instance:
 @wp.struct
 class FlatTriangles:
     """Triangles in world space in an 8-wide BVH (wide_bvh.py)."""
-
     nodes: wp.array[wp.uint32]
     """Empty where there are no triangles"""
     triangles: wp.array[wp.uint32]
