@@ -51,6 +51,7 @@ def check_tree(tree: BinaryTree, count: int) -> None:
 
 @pytest.mark.parametrize("count", [3, 40, 1500, 20000])
 def test_tree_stays_one_and_gets_smaller(count, device):
+    """Keep all items and the root's box, with smaller boxes below."""
     before = clustered(count, device)
     after = mend_upper_levels(before)
     check_tree(after, count)
@@ -61,6 +62,7 @@ def test_tree_stays_one_and_gets_smaller(count, device):
 
 
 def test_same_tree_each_time(device):
+    """Make the same tree of the same boxes."""
     first, second = (mend_upper_levels(clustered(3000, device)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(boxes(first), boxes(second), strict=True))
 
@@ -75,11 +77,13 @@ def test_equal_boxes(device):
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_nothing_to_mend(count, device):
+    """Leave trees of a node or none alone."""
     tree = clustered(count, device)
     assert mend_upper_levels(tree) is tree
 
 
 def test_boxes_without_end(device):
+    """Leave trees alone whose boxes are not finite."""
     tree = clustered(100, device)
     upper = tree.upper.numpy()
     upper[-1] = np.inf
