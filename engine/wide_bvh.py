@@ -126,10 +126,11 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
     parts = (_split(points, indices, whole) if splitting else None) or whole
     # Sizes that grow from triangle to triangle may make a chain, shorter without patience. Pairs along the curve make a
     # tree of at most as many levels as the count has bits.
-    attempts = (RADIUS, PATIENCE, True), (RADIUS, PATIENCE, False), (RADIUS, 0, False), (0, 0, False)
-    for radius, patience, mended in attempts:
+    for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
         tree = _cluster(parts.lower, parts.upper, radius, patience)
-        nodes, items, levels = _collapse(mend_upper_levels(tree) if mended else tree, len(parts.faces))
+        nodes, items, levels = _collapse(mend_upper_levels(tree) if patience else tree, len(parts.faces))
+        if patience and len(levels) > MAX_DEPTH:
+            nodes, items, levels = _collapse(tree, len(parts.faces))
         if len(levels) <= MAX_DEPTH:
             break
     triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
