@@ -290,8 +290,9 @@ class ReflectionSettings:
         ReflectionResolution.HALF, "Pixels that share a ray in each frame, in turns: fewer are sharper in motion and "
         "cost rays")
     bounces: int = setting(
-        4, "Mirrors and panes of glass that a ray follows before the radiance cache answers: each shows mirrors in "
-        "mirrors one deeper, and costs time only where there are some", low=0, high=32, soft_high=16)
+        4, "Mirrors and panes of glass that a ray follows before the radiance cache answers, from two on three times "
+        "as many in smooth glass: each shows mirrors in mirrors one deeper, and costs time only where there are some",
+        low=0, high=32, soft_high=16)
     screen_reuse: bool = setting(
         True, "Take what the picture before shows at a ray's hit, where it shows it: less noise and fewer shadow rays, "
         "for a frame's delay")

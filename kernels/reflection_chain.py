@@ -19,6 +19,7 @@ from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflectance import BsdfAlbedo, bsdf_albedo, fit_lobe
 from .reflection_glass import (
+    INSIDE_ALPHA,
     GlassSample,
     as_cached,
     is_inside,
@@ -59,6 +60,15 @@ SHARE_MIN_FURTHER = wp.constant(0.25)
 SHARE_MIN_WIDE = wp.constant(0.5)
 """After a lobe of a density below WIDE_DENSITY: panes of glass and real mirrors alone"""
 WIDE_DENSITY = wp.constant(10.0)
+
+# What meet_surface takes for `last`, besides 0.
+LAST_OUTSIDE = wp.constant(1)
+"""Rays end but in smooth glass"""
+LAST = wp.constant(2)
+LAST_CAUGHT = wp.constant(3)
+"""All rays end, and those still inside of smooth glass are caught there: hardly any light is"""
+# Further segments in smooth glass, for each bounce of the setting: a bottle with a liquid has six surfaces and more.
+GLASS_FACTOR = wp.constant(2)
 
 # Least part of the pixel's light for which a ray goes on.
 PART_MIN = wp.constant(0.03)
@@ -159,7 +169,7 @@ def choose_branch(
         albedo: Of the hit.
         mirrored: Part of `albedo.specular` that sends rays on.
         reflection: REFLECTED, REFRACTED or GATHERED.
-        last: 1: rays end here.
+        last: Not 0: rays end here.
         paths: Rays.
         slot: Which.
         surfaces: Met so far.
@@ -184,7 +194,7 @@ def choose_branch(
         least = SHARE_MIN_FURTHER
     if paths.pdf[slot] < WIDE_DENSITY:
         least = SHARE_MIN_WIDE
-    if last == 1 or not (scatter > 0.0 or mirror + glass > wp.max(least * total, PART_MIN)):
+    if last != 0 or not (scatter > 0.0 or mirror + glass > wp.max(least * total, PART_MIN)):
         branch.direct = 0
         return branch
     branch.whole = 0
@@ -308,11 +318,19 @@ def scattered_ray(
 
 
 @wp.func
+def last_of(surfaces: int, segments: int) -> int:
+    """Return what meet_surface takes for `last`, for the hit of that segment in a ray of so many."""
+    if surfaces < segments:
+        return 0
+    return wp.where(surfaces < segments + GLASS_FACTOR * (segments - 1), LAST_OUTSIDE, LAST_CAUGHT)
+
+
+@wp.func
 def meet_surface(
     scene: Scene, point: ShadingPoint, bsdf: Bsdf, reflection: int, last: int, rays: ReflectionRays, paths: Paths,
     vertices: Vertices, slot: int,
 ):
-    """Take in a hit: add what it emits, and send the ray on or end it; `last` 1: end it."""
+    """Take in a hit: add what it emits, and send the ray on or end it; `last`: 0 or LAST*."""
     surfaces = paths.state[slot]
     inside = is_inside(bsdf, point)
     outer = bsdf
@@ -325,7 +343,9 @@ def meet_surface(
     cosine = wp.dot(bsdf.specular_normal, point.wo)
     add_emission(scene, point, bsdf.emission, reflection, rays, paths, vertices, slot)
     lobe = mirror_material(albedo)
-    branch = choose_branch(albedo, lobe.specular, reflection, last, paths, slot, surfaces)
+    smooth = bsdf.pick_glass > 0.0 and bsdf.glass_alpha <= INSIDE_ALPHA
+    ends = wp.where(last == LAST_OUTSIDE and smooth, 0, last)
+    branch = choose_branch(albedo, lobe.specular, reflection, ends, paths, slot, surfaces)
     if branch.kind == BRANCH_MIRROR:
         mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
     elif branch.kind == BRANCH_GLASS:
@@ -347,4 +367,6 @@ def meet_surface(
             albedo = as_cached(bsdf, albedo, point.wo)
             albedo.reflected = wp.vec3(0.0, 0.0, 0.0)
             albedo.coat = 0.0
+        if last == LAST_CAUGHT and inside and smooth:
+            albedo.transmitted = wp.vec3(0.0, 0.0, 0.0)
         end_ray(point, albedo, lobe.specular, bsdf.normal, branch, rays, paths, vertices, slot)

@@ -15,7 +15,7 @@ from .intersect import MISS
 from .layering import prepare_bsdf
 from .nodes import run, world_point
 from .paths import ENDED, Paths, hit_point
-from .reflection_chain import meet_surface, miss_light
+from .reflection_chain import last_of, meet_surface, miss_light
 from .reflection_rays import DIMENSION_CLOSURE, DIMENSIONS, LEFT, ReflectionRays
 from .reflection_tail import trace_segment
 from .sampling import sample_pair
@@ -95,7 +95,7 @@ def follow_full(
                 trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
             final = last
             if segments > 0:
-                final = wp.where(surfaces >= segments, 1, 0)
+                final = last_of(surfaces, segments)
             follow_one(scene, split, reflection, final, rays_out, paths_out, vertices_out, slot)
             left = False
             surfaces = paths_out.state[slot]

@@ -15,6 +15,7 @@ from .environment_split import EnvironmentSplit
 from .intersect import closest_hit, closest_layer
 from .layers_lean import filter_path
 from .paths import ENDED, Paths, load_hit, store_hit, take_layer
+from .reflection_chain import last_of
 from .reflection_lamps import add_lamps
 from .reflection_lean import follow_one
 from .reflection_rays import LEFT, ReflectionRays
@@ -89,7 +90,7 @@ def follow_tail(
                 slot = int(-1)
         if slot >= 0:
             trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
-            last = wp.where(paths_out.state[slot] >= segments, 1, 0)
+            last = last_of(paths_out.state[slot], segments)
             follow_one(scene, split, world, reflection, last, rays_out, paths_out, vertices_out, slot)
             if paths_out.state[slot] == ENDED or vertices_out.reflectance[slot][3] == LEFT:
                 slot = int(-1)

@@ -19,6 +19,7 @@ from ...kernels import (
     flat_tracing,
     gather_further,
     gather_start,
+    reflection_chain,
     reflection_choice,
     reflection_choice_glossy,
     reflection_debug,
@@ -289,7 +290,7 @@ class ReflectionPass:
             if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
                 graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
         with graph.section(self._section("materials")):
-            arguments = [self.reflection, int(last)]
+            arguments = [self.reflection, int(reflection_chain.LAST) if last else 0]
             graph.launch_listed(
                 reflection_lean.follow_lean, [scene, what.split, what.world, *arguments], work,
                 [rays, paths, vertices])
@@ -315,10 +316,9 @@ class ReflectionPass:
 
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
         """Record following the rays that are still under way to their ends, over so many segments in all."""
-        paths = self.paths
+        paths, outputs = self.paths, [self.rays, self.paths, self.vertices]
         layers = reflection_tail.TAIL_LAYERS_DECIDED if decides_layers(what.scene) else reflection_tail.TAIL_LAYERS
         last = [segments, int(layers) if what.filtered else 0]
-        outputs = [self.rays, paths, self.vertices]
         with graph.section(self._section("materials")):
             graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)
             graph.launch_listed(

@@ -207,6 +207,33 @@ def test_pictures_are_the_path_tracers(room, eye, target, tolerance):
     assert np.abs(picture - truth)[mask].mean() / truth[mask].mean() < 0.12
 
 
+def red_panes():
+    """Make four red panes before a panel that shines."""
+    meshes = {f"red {i}": slab((-1, 0.3 * i, 0), (1, 0.3 * i + 0.05, 1.2)) for i in range(4)}
+    return meshes | {"panel": slab((-0.8, 1.4, 0.0), (0.8, 1.5, 1.0))}, np.eye(4)
+
+
+def red_in_clear():
+    """Make a red block in a clear one below a panel that shines, both with an edge to the front: they catch light."""
+    turned = np.eye(4)
+    turned[:2, :2] = [[0.7071, 0.7071], [-0.7071, 0.7071]]
+    meshes = {"clear": slab((-0.35, -0.35, 0), (0.35, 0.35, 2)), "red": slab((-0.28, -0.28, 0.1), (0.28, 0.28, 1.3))}
+    return meshes | {"panel": slab((-5, -5, 5), (5, 5, 5.1))}, turned
+
+
+@pytest.mark.parametrize(("glasses", "background", "eye"), [
+    (red_panes, 0.5, (-0.5, -1.8, 0.9)), (red_in_clear, 0.02, (0.0, -5.0, 2.8))])
+def test_light_goes_through_many_glasses(glasses, background, eye):
+    """Follow rays through more glass than over mirrors, pixel by pixel; cells know nothing of what glass has caught."""
+    meshes, matrix = glasses()
+    materials = {"clear": glass(), "red": glass(color=(0.8, 0.3, 0.1)), "panel": panel((1.0, 1.0, 1.0), 3.0)}
+    delta = scenes.delta(
+        meshes, [(name, matrix, name.split()[0]) for name in meshes], materials, background=background)
+    mask, picture, truth = picture_ratio(delta, look_at(eye, (0.0, 0.0, 0.9), SIZE, 0.5), frames=32)
+    assert mask.sum() > 100
+    assert np.abs(picture - truth)[mask].mean() / truth[mask].mean() < 0.2
+
+
 def blind_room(layers, behind):
     """Make a blind, some layers with gaps between, before a wall that the sun lights; what else shines is `behind`."""
     upright = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
