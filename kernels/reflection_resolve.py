@@ -6,17 +6,22 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices, cell_seed
-from .geometry_math import PI, is_finite3, max_component
+from .geometry_math import PI, is_finite3, max_component, mean_component
 from .hash_grid import (
+    COARSE_LEVELS,
     NO_CELL,
     HashGrid,
     cell_key,
     cell_level,
     cell_size,
+    coarse_key,
     find_key,
     find_lit_cell,
     indirect_light,
     is_lit,
+    jittered,
+    known_indirect,
+    wide_key,
 )
 from .packed_halves import pack_halves
 from .packing import HALF_MAX, rgb, rgba, unpack_normal
@@ -29,6 +34,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 # Samples in a cell from which on its mean stands in for a hit's own light.
 CELL_SAMPLES = wp.constant(8.0)
+# Samples of indirect light from which on a cell is shown as it is: far brighter than the coarse cell about it, or not.
+SPARK_SAMPLES = wp.constant(16.0)
+ENOUGH_SAMPLES = wp.constant(4.0)
+# Density [1/sr] of a ray's widest lobe from which on it shows single cells: up to a roughness of about 0.17.
+SHARP_DENSITY = wp.constant(100.0)
 # Frames at rest over which hits of sharp reflections go over from their cells' means to their own light.
 OWN_START = wp.constant(8.0)
 OWN_END = wp.constant(48.0)
@@ -60,6 +70,53 @@ class HitLight:
 
     direct: wp.vec3
     indirect: wp.vec3
+
+
+@wp.func
+def indirect_of(grid: HashGrid, cell: int) -> wp.vec4:
+    """Return a cell's indirect light; w = samples in it, 0 for NO_CELL."""
+    if cell == NO_CELL:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return grid.indirect[cell]
+
+
+@wp.func
+def steadied(light: wp.vec4, around: wp.vec4) -> wp.vec4:
+    """Return a cell's light with the more of a wider one's, the fewer samples it has and the brighter it is for them.
+
+    Of a dark cell less is taken: shadows stay. That keeps sparks out at the cost of some of their light.
+    """
+    if around[3] <= light[3]:
+        return light
+    own = mean_component(rgb(light))
+    wide = mean_component(rgb(around))
+    above = wp.clamp((own - wide) / wp.max(own + wide, 1.0e-20), 0.0, 1.0)
+    enough = wp.lerp(ENOUGH_SAMPLES, SPARK_SAMPLES, above)
+    return wp.lerp(around, light, wp.min(light[3] / enough, 1.0))
+
+
+@wp.func
+def steady_indirect(
+    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+    jitter: int,
+) -> wp.vec3:
+    """Return the indirect light that a sharp lobe shows: that of a cell, steadied by the wider ones about it.
+
+    A mirror shows each cell by itself, and cells that mirrors alone look at have few samples; probes and wide lobes
+    average over many cells.
+    """
+    light = known_indirect(grid, view, cell, position, normal, direction, seed)
+    if light[3] >= SPARK_SAMPLES:
+        return rgb(light)
+    place = position
+    if jitter == 1:
+        size = cell_size(cell_level(grid, view.camera, position, seed) + COARSE_LEVELS)
+        place = jittered(position, normal, size, seed)
+    key = coarse_key(grid, view, place, normal, direction, seed)
+    around = indirect_of(grid, find_key(grid, key))
+    if around[3] < ENOUGH_SAMPLES:
+        around = steadied(around, indirect_of(grid, find_key(grid, wide_key(grid, key))))
+    return rgb(steadied(light, around))
 
 
 @wp.func
@@ -112,7 +169,10 @@ def hit_light(
         cell = vertices.cell[slot]
     light = HitLight()
     light.direct = direct
-    light.indirect = indirect_light(grid, view, cell, position, normal, direction, seed)
+    if wide or paths.pdf[slot] < SHARP_DENSITY:
+        light.indirect = indirect_light(grid, view, cell, position, normal, direction, seed)
+    else:
+        light.indirect = steady_indirect(grid, view, cell, position, normal, direction, seed, jitter)
     return light
 
 
