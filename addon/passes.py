@@ -47,13 +47,14 @@ AOVS = (
     Aov(compat.pass_name("Emission"), "Emission", "RGB", 'COLOR', "use_pass_emit"),
     Aov(compat.pass_name("Environment"), "Environment", "RGB", 'COLOR', "use_pass_environment"),
     Aov(compat.pass_name("Ambient Occlusion"), "Ambient Occlusion", "RGB", 'COLOR', "use_pass_ambient_occlusion"),
+    Aov(compat.pass_name("Shadow"), "Shadow", "RGB", 'COLOR', "use_pass_shadow"),
     *(Aov(compat.pass_name(name), name, "RGB", 'COLOR', f"use_pass_{name.lower().replace(' ', '_')}")
       for name in LIGHT_PASSES),
 )
 
 MATTE_SWITCHES = {kind: f"use_pass_cryptomatte_{kind.removeprefix('Crypto').lower()}" for kind in MATTE_KINDS}
 
-NOT_DRAWN = {"Shadow": "use_pass_shadow", "Subsurface Direct": "use_pass_subsurface_direct",
+NOT_DRAWN = {"Subsurface Direct": "use_pass_subsurface_direct",
              "Subsurface Indirect": "use_pass_subsurface_indirect", "Subsurface Color": "use_pass_subsurface_color",
              "Volume Direct": "use_pass_volume_direct", "Volume Indirect": "use_pass_volume_indirect",
              "Volume Scatter": "use_pass_volume_scatter", "Volume Transmit": "use_pass_volume_transmit",

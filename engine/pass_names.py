@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 __all__ = [
-    "COLOR_AOV", "FIRST_HIT_PASSES", "GROUP_PREFIX", "MATTE_KINDS", "OCCLUSION", "VALUE_AOV", "first_hit_channels"]
+    "COLOR_AOV", "FIRST_HIT_PASSES", "GROUP_PREFIX", "MATTE_KINDS", "OCCLUSION", "SHADOW", "VALUE_AOV",
+    "first_hit_channels"]
 
 COLOR_AOV, VALUE_AOV = "Color AOV ", "Value AOV "
 """What the engine's names of shader AOVs begin with"""
@@ -15,13 +16,13 @@ GROUP_PREFIX = "Combined_"
 MATTE_KINDS = ("CryptoObject", "CryptoMaterial", "CryptoAsset")
 """What the names of Cryptomatte's passes begin with: `CryptoObject00` and so on"""
 
-OCCLUSION = "Ambient Occlusion"
+OCCLUSION, SHADOW = "Ambient Occlusion", "Shadow"
 
 LEVELS_MAX = 16
 """Things that a pixel of Cryptomatte can hold, two in each pass"""
 
 FIRST_HIT_PASSES = {
-    "Mist": 1, "Vector": 4, OCCLUSION: 3,
+    "Mist": 1, "Vector": 4, OCCLUSION: 3, SHADOW: 3,
     **{f"{kind}{number:02d}": 4 for kind in MATTE_KINDS for number in range(LEVELS_MAX // 2)}}
 """Channels of each pass of the first surfaces but shader AOVs"""
 

@@ -86,8 +86,8 @@ def realtime_approximations(
                    facts.anisotropic)
     if facts.refractive:
         report.add(ReportKind.APPROXIMATED, "",
-                   f"refracted light is followed over at most {settings.reflections.bounces} more surfaces, from two on "
-                   f"three times as many in smooth glass{until}", facts.refractive)
+                   f"refracted light is followed over at most {settings.reflections.bounces} more surfaces, from two "
+                   f"on three times as many in smooth glass{until}", facts.refractive)
     if facts.scattering:
         report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering is drawn as diffuse reflection{until}",
                    facts.scattering)

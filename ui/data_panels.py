@@ -201,6 +201,7 @@ class BURNISH_VIEWLAYER_PT_passes_light(BurnishPanel, Panel):
         column.prop(layer, "use_pass_emit", text="Emission")
         column.prop(layer, "use_pass_environment")
         column.prop(layer, "use_pass_ambient_occlusion", text="Ambient Occlusion")
+        column.prop(layer, "use_pass_shadow")
 
 
 class BURNISH_VIEWLAYER_PT_passes_cryptomatte(BurnishPanel, ViewLayerCryptomattePanelHelper, Panel):

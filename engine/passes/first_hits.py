@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mist, Vector, Cryptomatte, shader AOVs, occlusion: passes of the first surfaces, gathered by launches of their own.
+"""Passes of the first surfaces, gathered by launches of their own: Mist, Vector, Cryptomatte, AOVs, occlusion, shadow.
 
 That happens when they are read, for both integrators alike: their kernels know nothing of it. Without these passes
 nothing is allocated.
@@ -21,10 +21,10 @@ from ..device import launch, run_bands
 from ..device_scene import DeviceScene
 from ..frame_data import frame_row
 from ..history import arrays_of
-from ..pass_names import FIRST_HIT_PASSES, MATTE_KINDS, OCCLUSION, first_hit_channels
+from ..pass_names import FIRST_HIT_PASSES, MATTE_KINDS, OCCLUSION, SHADOW, first_hit_channels
 from ..program import Program
 from ..scene import CameraData, FrameMotion, WorldData
-from .occlusion import Occlusion
+from .first_rays import LampShadow, Occlusion
 from .reference import ReferencePass
 
 __all__ = ["FirstHits"]
@@ -43,7 +43,7 @@ class FirstHits:
 
     def __init__(self, device: str):
         self.device = device
-        self.occlusion = Occlusion(device)
+        self.occlusion, self.shadow = Occlusion(device), LampShadow(device)
         self.launches = 0
         """Since the passes were chosen"""
         self.alpha_threshold = 0.5
@@ -61,7 +61,7 @@ class FirstHits:
     def arrays(self) -> list[wp.array]:
         """Return what is allocated."""
         found = [] if self._hits is None else arrays_of(self._hits)
-        return found + ([] if self.occlusion.light is None else [self.occlusion.light])
+        return found + [rays.sums for rays in (self.occlusion, self.shadow) if rays.sums is not None]
 
     def configure(self, names: tuple[str, ...], pixels: int) -> None:
         """Choose the passes that will be read, and the number of pixels; allocates nothing."""
@@ -74,6 +74,7 @@ class FirstHits:
         """Forget everything: what is seen has changed."""
         self._hits, self._samples, self._kept, self.manifests = None, 0, {}, {}
         self.occlusion.reset()
+        self.shadow.reset()
 
     def read(self, name: str, scene: DeviceScene, frame: np.ndarray, table: wp.array, samples: int,
              tracer: ReferencePass, options: Options) -> np.ndarray:
@@ -85,7 +86,7 @@ class FirstHits:
             frame: One FrameData row.
             table: Inverse distribution of the pixel filter.
             samples: How many the picture has.
-            tracer: Traces occlusion; its bands are the picture's.
+            tracer: Traces occlusion and shadow; its bands are the picture's.
             options: The tracer's.
 
         Raises:
@@ -95,7 +96,9 @@ class FirstHits:
             raise KeyError(name)
         if name == OCCLUSION:
             distance = (scene.world or WITHOUT_WORLD).occlusion_distance
-            return self.occlusion.read(tracer, scene.scene, frame, options, table, distance, samples)
+            return self.occlusion.read(tracer, scene.scene, frame, options, table, samples, distance)
+        if name == SHADOW:
+            return self.shadow.read(tracer, scene.scene, frame, options, table, samples)
         fewest, most = SAMPLES
         wanted = min(max(samples, fewest), most)
         if self._samples < wanted:

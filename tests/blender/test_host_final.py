@@ -93,7 +93,7 @@ def test_passes_are_written(run_host, tmp_path):
     run_host(f"""
 layer = scene.view_layers[0]
 for name in ("z", "position", "normal", "uv", "object_index", "material_index", "emit", "environment", "mist",
-             "ambient_occlusion", "cryptomatte_object", "cryptomatte_asset"):
+             "ambient_occlusion", "shadow", "cryptomatte_object", "cryptomatte_asset"):
     setattr(layer, f"use_pass_{{name}}", True)
 layer.pass_cryptomatte_depth = 2
 for name, kind in (("heat", 'COLOR'), ("weight", 'VALUE')):
@@ -106,7 +106,7 @@ render.filepath = {str(target)!r}
 bpy.ops.render.render(write_still=True)
 names = set(pictures[0][2])
 assert names == {{"Combined", "Depth", "Position", "Normal", "UV", "Object Index", "Material Index", "Emission",
-                 "Environment", "Mist", "Ambient Occlusion", "CryptoObject00", "CryptoAsset00", "heat",
+                 "Environment", "Mist", "Ambient Occlusion", "Shadow", "CryptoObject00", "CryptoAsset00", "heat",
                  "weight"}}, names
 layer.use_pass_z = False
 bpy.ops.render.render()
@@ -125,11 +125,11 @@ def test_passes_that_are_not_there_are_named(run_host):
     run_host("""
 from burnish.addon import report
 layer = scene.view_layers[0]
-layer.use_pass_shadow = layer.use_pass_subsurface_color = layer.use_pass_mist = True
+layer.use_pass_subsurface_direct = layer.use_pass_subsurface_color = layer.use_pass_mist = True
 bpy.ops.render.render()
 said = sorted(entry.message for entry in report.published("Render").entries() if "is left out" in entry.message)
 assert said == [f"the pass {name} is left out; this version does not have it"
-                for name in ("Shadow", "Subsurface Color")], said
+                for name in ("Subsurface Color", "Subsurface Direct")], said
 """)
 
 

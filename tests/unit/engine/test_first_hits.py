@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from burnish.engine import cryptomatte
-from burnish.engine.pass_names import COLOR_AOV, OCCLUSION, VALUE_AOV
+from burnish.engine.pass_names import COLOR_AOV, OCCLUSION, SHADOW, VALUE_AOV
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import FrameMotion, MistData, Visibility
 from burnish.engine.session import Session
@@ -189,6 +189,49 @@ def test_occlusion(settings):
         found, _ = render(delta, (OCCLUSION,), camera=camera, settings=settings, samples=64)
         # A disk of radius and height 1 covers sin(45 degrees) ** 2 of a cosine lobe.
         assert found[OCCLUSION].mean() == pytest.approx(expected, abs=0.01)
+
+
+def tilted(angle):
+    """Return the place of a sun that shines down, turned about x."""
+    turned = scenes.place()
+    turned[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return turned
+
+
+def lit_floor(lights, kind="DIFFUSE", *objects, background=0.3, **arguments):
+    """Return a floor under lamps and a sky."""
+    floor = scenes.quad(3.0)
+    return scenes.delta({"floor": floor}, [("floor", scenes.place(), "floor"), *objects],
+                        {"floor": scenes.material(kind, **arguments), "lid": scenes.material(color=0.5),
+                         "veil": scenes.transparent(0.25, color=0.5)},
+                        lights=lights, background=background)
+
+
+@INTEGRATORS
+def test_shadow(settings):
+    """Find how much of two suns' light arrives below a lid that hides the one above: the world doesn't count."""
+    suns = [scenes.lamp("SUN", 3.0, tilted(0.0)), scenes.lamp("SUN", 1.0, tilted(1.2))]
+    hidden = int(Visibility.ALL & ~Visibility.CAMERA)
+    lid = ("floor", scenes.place(z=1.0) @ np.diag([0.1, 0.1, 1.0, 1.0]), "lid", hidden)
+    camera = scenes.camera_above(half=0.02)
+    for objects, expected in (((), 1.0), ((lid,), np.cos(1.2) / (3.0 + np.cos(1.2))),
+                              (((*lid[:2], "veil", hidden),), (0.75 + np.cos(1.2)) / (3.0 + np.cos(1.2)))):
+        found, _ = render(lit_floor(suns, "DIFFUSE", *objects, color=0.5), (SHADOW,), camera=camera,
+                          settings=settings, samples=256)
+        assert found[SHADOW].shape[2] == 3 and np.array_equal(found[SHADOW][..., 0], found[SHADOW][..., 2])
+        # What the veil lets through is chance.
+        assert found[SHADOW].mean() == pytest.approx(expected, abs=0.01 if objects else 1e-6)
+
+
+def test_shadow_where_nothing_shines_or_is():
+    """Give 1 to the background and 0 to what no lamp lights."""
+    lamp = scenes.lamp("SUN", 3.0, tilted(0.0))
+    wide = scenes.camera_above(half=6.0)
+    found, _ = render(lit_floor([lamp], color=0.5), (SHADOW,), camera=wide, samples=16)
+    assert np.array_equal(np.unique(found[SHADOW]), [1.0])
+    for lights in ([], [scenes.lamp("SUN", 3.0, tilted(3.0))]):
+        found, _ = render(lit_floor(lights, color=0.5), (SHADOW,), camera=wide, samples=16)
+        assert found[SHADOW][4, 4].max() == 0.0 and found[SHADOW][0, 0].min() == 1.0
 
 
 def test_samples_go_on():
