@@ -13,10 +13,10 @@ import warp as wp
 from ..kernels import lamp_tables as layout
 from ..kernels import types
 from ..kernels.lamp_bake import LampTable, bake_lamp
-from .device import run_bands
 from .lamp_needs import Needs, lamp_axes, widest_angle
 from .materials import single_program
 from .scene import LightData, LightKind
+from .wide_bvh import launch_bands
 
 __all__ = ["BakedLamp", "bake", "distance_grid"]
 
@@ -37,9 +37,6 @@ LOG_RANGE = 100.0
 
 FAR = 1.0e18
 """Distance of suns [m], as the kernels have it"""
-
-BAND = 1 << 14
-"""Texels that a processor's thread takes at once"""
 
 
 @dataclass(eq=False)
@@ -114,15 +111,7 @@ class _Oven:
         count = len(distances) * self.pictures * width * width
         at = wp.array(distances.astype(np.float32), dtype=float, device=self.device)
         out = wp.zeros(count, dtype=wp.vec3, device=self.device)
-
-        def launch(first: int, number: int) -> None:
-            wp.launch(bake_lamp, number, [self._lone, self._light, table, at, first], [out], device=self.device)
-
-        if wp.get_device(self.device).is_cuda:
-            launch(0, count)
-        else:
-            wp.load_module(bake_lamp.module.name, device=self.device)
-            run_bands(_band(launch, first, min(BAND, count - first)) for first in range(0, count, BAND))
+        launch_bands(bake_lamp, 0, count, [self._lone, self._light, table, at], [out])
         return out.numpy().astype(np.float64).reshape(len(distances), self.pictures, width, width, 3)
 
     def weights(self, width: int) -> np.ndarray:
@@ -203,10 +192,6 @@ def _doubled(colors: np.ndarray) -> np.ndarray:
         both = np.stack([0.75 * moved + 0.25 * before, 0.75 * moved + 0.25 * after], 1)
         colors = np.moveaxis(both.reshape(-1, *moved.shape[1:]), 0, axis)
     return colors
-
-
-def _band(launch: Callable[[int, int], None], first: int, number: int) -> Callable[[], None]:
-    return lambda: launch(first, number)
 
 
 def _lamp_instance(matrix: np.ndarray) -> np.ndarray:

@@ -30,10 +30,7 @@ def mend_upper_levels(tree: BinaryTree) -> BinaryTree:
 
     Takes 10 to 20 ms on the host, whatever the device.
     """
-    device, total = tree.children.device.alias, len(tree.children)
-    areas = wp.empty(total, dtype=float, device=device)
-    launch(write_areas, total, [tree.lower, tree.upper], [areas], device)
-    chosen = _largest(areas.numpy(), tree.batches[0][1])
+    chosen = _largest(_areas(tree.lower, tree.upper), tree.batches[0][1])
     if len(chosen) < 2:
         return tree
     pairs = _taken(tree.children, chosen)
@@ -41,6 +38,13 @@ def mend_upper_levels(tree: BinaryTree) -> BinaryTree:
     upper = _Upper(np.concatenate([below, chosen]), pairs, tree)
     upper.mend()
     return upper.put_back(tree)
+
+
+def _areas(lower: wp.array, upper: wp.array) -> np.ndarray:
+    """Return half the surface of boxes, float32 [N]."""
+    areas = wp.empty(len(lower), dtype=float, device=lower.device)
+    launch(write_areas, len(lower), [lower, upper], [areas], lower.device.alias)
+    return areas.numpy()
 
 
 def _largest(areas: np.ndarray, leaves: int) -> np.ndarray:
@@ -93,9 +97,8 @@ class _Upper:
         search.growth = wp.empty(count, dtype=float, device="cpu")
         search.node = wp.empty(count, dtype=int, device="cpu")
         for _ in range(PASSES):
-            size = np.maximum(self.tree.upper.numpy() - self.tree.lower.numpy(), 0.0).astype(np.float64)
-            area = size[:, 0] * size[:, 1] + size[:, 1] * size[:, 2] + size[:, 2] * size[:, 0]
-            order = np.argsort(-area[:root], kind="stable").astype(np.int32)
+            areas = _areas(self.tree.lower, self.tree.upper)
+            order = np.argsort(-areas[:root], kind="stable").astype(np.int32)
             launch(kernels.reinsert_nodes, 1, [root, wp.array(order, dtype=int, device="cpu")],
                    [self.tree, search], "cpu")
         self.children = self.tree.children.numpy()

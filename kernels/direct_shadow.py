@@ -13,21 +13,21 @@ import warp as wp
 from .direct_emitters import is_constant
 from .direct_light import PackedLight
 from .direct_reservoir import DirectOptions, Reservoirs, has_sample, load_reservoir, pixel_of_slot
-from .direct_terms import LightTerms, light_terms, load_lit, scaled_terms
+from .direct_terms import LightTerms, light_terms, lit_point, load_lit, scaled_terms
 from .environment_split import EnvironmentSplit
-from .gbuffer import GBuffer, barycentrics_of, has_surface, load_surface
+from .gbuffer import GBuffer, has_surface, load_surface
 from .geometry_math import luminance
-from .intersect import any_hit, offset_origin, surface_point
+from .intersect import any_hit, offset_origin
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
 from .light_linking import kinds_lit
 from .packed_halves import pack_halves
 from .packing import rgba
-from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths, make_hit
+from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths
 from .terminator import shadow_origin
 from .types import Scene, ShadingPoint
-from .view import View, direction_to_eye
+from .view import View
 from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -101,8 +101,7 @@ def aim_shadow_rays(
     r = load_reservoir(reservoirs, pixel)
     surface = load_surface(view, gbuffer, options.width, pixel)
     if r.weight > 0.0 and has_surface(surface):
-        hit = make_hit(surface.depth, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel))
-        point = surface_point(scene, hit, -direction_to_eye(view.camera, surface.position))
+        point = lit_point(view, scene, gbuffer, surface, pixel)
         p = load_lit(view, gbuffer, surface, point.normal, pixel)
         s = replay(scene, split, emitters, point.position, r.candidate)
         if s.kind >= 0:

@@ -13,10 +13,11 @@ import warp as wp
 from .direct_light import PackedLight
 from .direct_reservoir import DirectOptions, Reservoirs, has_sample, load_reservoir, pixel_of_slot, slot_of_pixel
 from .direct_shade import choose_lender, factor_of
+from .direct_terms import lit_point
 from .environment_split import EnvironmentSplit
-from .gbuffer import SURFACE_SHAPED, GBuffer, Surface, barycentrics_of, load_surface
+from .gbuffer import SURFACE_SHAPED, GBuffer, Surface, load_surface
+from .gbuffer_store import closure_number
 from .geometry_math import is_finite3, max_component, mean_component
-from .intersect import surface_point
 from .layering import prepare_bsdf
 from .light_candidate import replay
 from .light_linking import kinds_lit_at
@@ -24,12 +25,11 @@ from .lobes import LOBE_NONE, evaluate_diffuse_lobes, evaluate_specular_lobes
 from .nodes import run
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
-from .paths import Paths, make_hit
+from .paths import Paths
 from .reflectance import bsdf_albedo
-from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_CAMERA, VISIBLE_DIFFUSE, Bsdf, Scene, ShadingPoint, Tables
-from .view import View, direction_to_eye, eye_position
+from .view import View, eye_position
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -42,8 +42,7 @@ STRETCH_MAX = wp.constant(32.0)
 @wp.func
 def seen_point(view: View, scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) -> ShadingPoint:
     """Return the point that a pixel shows, as its material is run at it (gbuffer_store.pixel_point)."""
-    hit = make_hit(surface.depth, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel))
-    point = surface_point(scene, hit, -direction_to_eye(view.camera, surface.position))
+    point = lit_point(view, scene, gbuffer, surface, pixel)
     point.ray_length = wp.length(eye_position(view.camera) - point.position)
     point.footprint = (view.camera.pixel_size + view.camera.spread * point.ray_length) * FOOTPRINT_SCALE
     point.ray_visibility = VISIBLE_CAMERA
@@ -54,9 +53,8 @@ def seen_point(view: View, scene: Scene, gbuffer: GBuffer, surface: Surface, pix
 @wp.func
 def seen_bsdf(view: View, scene: Scene, width: int, point: ShadingPoint, pixel: int) -> Bsdf:
     """Return the BSDF that the G-buffer's albedos of a pixel are of: of a mix, the one drawn in this frame."""
-    seed = pixel_seed_of(view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
-    choice = sample_pair(seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + DIMENSION_LOBE)
-    closure = run(scene, point, scene.materials.materials[point.material].surface_start, choice[1])
+    start = scene.materials.materials[point.material].surface_start
+    closure = run(scene, point, start, closure_number(view, width, pixel))
     return prepare_bsdf(scene.tables, closure, point)
 
 

@@ -7,15 +7,17 @@ import warp as wp
 
 from .direct_reservoir import SPECULAR_MIN, DirectOptions
 from .environment_split import EnvironmentSplit
-from .gbuffer import GBuffer, Surface, SurfaceMaterial, load_material
+from .gbuffer import GBuffer, Surface, SurfaceMaterial, barycentrics_of, load_material
 from .geometry_math import is_finite3, max_component
+from .intersect import surface_point
 from .lamp_sample import LightSample
 from .light_candidate import Candidate
+from .paths import make_hit
 from .reflection_lights import is_singular, light_side_share, sample_roughness, shown_zone
 from .reflection_types import coat_alone, sampled_material
 from .specular_lobes import lobes_pdf, lobes_value, specular_lobes
 from .surface_brdf import evaluate_brdf
-from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene
+from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene, ShadingPoint
 from .view import View, direction_to_eye
 
 # Where no reflection rays help, samples of a light seldom meet a sharper lobe, which would be sparks; path tracing
@@ -47,6 +49,13 @@ class LightTerms:
 def share_of(part: float, whole: float) -> float:
     """Return part / whole; 1 where the whole is nothing."""
     return wp.where(whole > 0.0, part / wp.max(whole, 1.0e-30), 1.0)
+
+
+@wp.func
+def lit_point(view: View, scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) -> ShadingPoint:
+    """Return the point that a pixel shows, from its G-buffer entry."""
+    hit = make_hit(surface.depth, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel))
+    return surface_point(scene, hit, -direction_to_eye(view.camera, surface.position))
 
 
 @wp.func

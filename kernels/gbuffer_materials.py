@@ -11,12 +11,11 @@ import warp as wp
 
 from .gbuffer import SURFACE_SHAPED, GBuffer
 from .gbuffer_rays import PrimaryHits, light_weight, primary_ray, veil_flag, veiled_light
-from .gbuffer_store import LEFT, pixel_point, store_surface, store_world
+from .gbuffer_store import LEFT, closure_number, pixel_point, store_surface, store_world
 from .intersect import MISS
 from .layering import prepare_bsdf
 from .nodes import run
 from .reflectance import bsdf_albedo
-from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
 from .types import Bsdf, Closure, Scene
 from .view import View
 
@@ -35,19 +34,15 @@ def shape_flag(bsdf: Bsdf) -> wp.uint32:
 @wp.func
 def shade_pixel(view: View, scene: Scene, width: int, layers: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int):
     """Fill one pixel's entry."""
-    x = pixel % width
-    y = pixel // width
-    ray = primary_ray(view, x, y)
+    ray = primary_ray(view, pixel % width, pixel // width)
     point = pixel_point(view, scene, hits, pixel, ray)
     closure = Closure()
     start = scene.materials.world_start
     if point.instance != MISS:
         start = scene.materials.materials[point.material].surface_start
     if point.instance != MISS or scene.environment.constant == 0:
-        seed = pixel_seed_of(view.camera.crop_x + x, view.camera.crop_y + y, view.camera.seed)
-        choice = sample_pair(seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + DIMENSION_LOBE)
         # One call of the machine for both, see reference.py.
-        closure = run(scene, point, start, choice[1])
+        closure = run(scene, point, start, closure_number(view, width, pixel))
     if point.instance == MISS:
         radiance = closure.emission
         if scene.environment.constant == 1:

@@ -26,6 +26,7 @@ from .nodes import world_point
 from .packing import pack_normal, pack_unorm16, rgba, to_half
 from .paths import make_hit
 from .reflectance import BsdfAlbedo, fit_lobe
+from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import HOLDOUT, VISIBLE_CAMERA, FrameData, Geometry, Scene, ShadingPoint
 from .view import SKY_DEPTH, View, pixel_footprint, project
@@ -189,6 +190,13 @@ def store_world(view: View, scene: Scene, radiance: wp.vec3, flags: wp.uint32, g
     if (scene.environment.visibility & VISIBLE_CAMERA) == 0:
         light = wp.vec3(0.0, 0.0, 0.0)
     gbuffer.emission[pixel] = to_half(rgba(light, 1.0))
+
+
+@wp.func
+def closure_number(view: View, width: int, pixel: int) -> float:
+    """Return the number that draws one closure of a pixel's material in this frame."""
+    seed = pixel_seed_of(view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
+    return sample_pair(seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + DIMENSION_LOBE)[1]
 
 
 @wp.func

@@ -114,22 +114,22 @@ def lamp_point(
 @wp.kernel
 def bake_lamp(
     # In:
+    first: int,
     scene: Scene,
     light: Light,
     table: LampTable,
     distances: wp.array[float],
-    first: int,
     # Out:
     colors_out: wp.array[wp.vec3],
 ):
     """Fill a table's texels, once for each distance [m], with the means of what the program emits.
 
     Args:
+        first: Element of the first thread.
         scene: Its only instance is the lamp, its programs are the lamp's.
         light: The lamp, at its place in the world.
         table: What is tabled.
         distances: From the lamp to where its light arrives.
-        first: Element of the first thread.
         colors_out: By distance, picture, row from the bottom, column.
     """
     index = first + wp.tid()

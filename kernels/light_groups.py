@@ -189,7 +189,7 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
         side = point.normal * float(k % 3 - 1)
         found = light_again(
             scene, tables, point.position, side,
-            candidate_place(place, float(k // 3)), refill)
+            candidate_place(place, float(k // 3), LIGHT_CANDIDATES), refill)
         s = found.sample
         # Lights for other objects may lie in the same place.
         known = s.kind >= 0 and is_for(scene, s.visibility, point.instance)

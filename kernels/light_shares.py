@@ -56,7 +56,7 @@ def light_visibility(scene: Scene, point: ShadingPoint, bsdf: Bsdf, paths: Paths
     while k < LIGHT_CANDIDATES:
         s = sample_light_of(
             scene, total, point.position, side,
-            candidate_place(place, float(k)), refill)
+            candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
             cosine = wp.dot(s.wi, paths.shadow_direction[path])
             # Lights for other objects may lie in the same place.

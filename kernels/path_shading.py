@@ -199,9 +199,9 @@ def arriving(point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
 
 
 @wp.func
-def candidate_place(place: wp.vec2, number: float) -> wp.vec2:
-    """Return the numbers of one of the light candidates; the passes of light draw them once more."""
-    return wp.vec2(fraction(place[0] + number / float(LIGHT_CANDIDATES)), fraction(place[1] + number * GOLDEN))
+def candidate_place(place: wp.vec2, number: float, count: int) -> wp.vec2:
+    """Return the numbers of one of `count` light candidates; the passes of light draw them once more."""
+    return wp.vec2(fraction(place[0] + number / float(count)), fraction(place[1] + number * GOLDEN))
 
 
 @wp.func
@@ -227,7 +227,8 @@ def sample_direct_light(
     classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
-        s = sample_light_of(scene, classes, point.position, side, candidate_place(place, float(k)), refill)
+        u = candidate_place(place, float(k), LIGHT_CANDIDATES)
+        s = sample_light_of(scene, classes, point.position, side, u, refill)
         if s.kind >= 0:
             s.visibility = kinds_lit(scene, s.visibility, point.instance)
             here = wp.cw_mul(throughput, arriving(point, bsdf, s))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Structs of shading: a hit's geometry, what its material says, and the BSDF prepared from that. No functions."""
+"""Structs of shading: a hit's geometry, what its material says, the BSDF made of that, and its tables. No functions."""
 
 from __future__ import annotations
 
@@ -193,3 +193,30 @@ class BsdfSample:
     """VISIBLE_DIFFUSE, VISIBLE_GLOSSY or VISIBLE_TRANSMISSION"""
     roughness: float
     """Perceptual roughness of the sampled lobe, for the ray cone"""
+
+
+@wp.struct
+class Tables:
+    """Directional albedos of GGX, see albedo_tables.py."""
+
+    ggx_e: wp.array2d[float]
+    """[cosine, roughness] single-scattering albedo for Fresnel 1"""
+    ggx_e_avg: wp.array[float]
+    """[roughness] mean over the cosine"""
+    glass_e: wp.array3d[float]
+    """[ior, cosine, roughness] dielectric interface, entering (ior > 1)"""
+    glass_e_avg: wp.array2d[float]
+    """[ior, roughness]"""
+    glass_inv_e: wp.array3d[float]
+    """Leaving (ior < 1)"""
+    glass_inv_e_avg: wp.array2d[float]
+    schlick_ior_s: wp.array3d[float]
+    """[ior, cosine, roughness] weight between F0 and F90 under the real dielectric Fresnel"""
+    schlick_s: wp.array2d[float]
+    """[cosine, roughness] weight between F0 and F90 under Schlick's curve, for metals"""
+    dielectric_c: wp.array3d[float]
+    """[ior, cosine, roughness] cosine at which a smooth dielectric reflects what a rough one does, by its albedo"""
+    schlick_c: wp.array2d[float]
+    """[cosine, roughness] the same for Schlick's curve"""
+    film: wp.array[wp.vec4]
+    """Colours of thin films, see engine/film_colors.py"""

@@ -16,7 +16,7 @@ from .lamp_sample import LightSample
 from .layering import prepare_bsdf
 from .light_linking import kinds_lit
 from .lights import class_total, sample_light_of
-from .path_shading import front_of, set_shadow_ray, visible_part
+from .path_shading import candidate_place, front_of, set_shadow_ray, visible_part
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import evaluate_bsdf
 from .sampling import (
@@ -24,7 +24,6 @@ from .sampling import (
     DIMENSION_LIGHT,
     DIMENSION_LIGHT_CHOICE,
     DIMENSION_RESAMPLE,
-    fraction,
     sample_number,
     sample_pair,
 )
@@ -32,9 +31,8 @@ from .types import HOLDOUT, LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, Bsdf, Scene, Shad
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-# Lamps drawn for each ray, and the step from one's second number to the next's.
+# Lamps drawn for each ray.
 CANDIDATES = wp.constant(4)
-GOLDEN = wp.constant(0.6180340)
 
 
 @wp.func
@@ -68,8 +66,7 @@ def aim_at_lamp(scene: Scene, paths: Paths, path: int) -> float:
     total = float(0.0)
     k = int(0)
     while k < CANDIDATES:
-        number = float(k)
-        u = wp.vec2(fraction(place[0] + number / float(CANDIDATES)), fraction(place[1] + number * GOLDEN))
+        u = candidate_place(place, float(k), CANDIDATES)
         s = sample_light_of(scene, classes, point.position, side, u, refill)
         sent = sent_by(scene, point, bsdf, s)
         if sent > 0.0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .shading_types import Bsdf, BsdfSample, BsdfValue, Closure, ShadingPoint
+from .shading_types import Bsdf, BsdfSample, BsdfValue, Closure, ShadingPoint, Tables
 
 __all__ = [
     "Bsdf", "BsdfSample", "BsdfValue", "Closure", "Environment", "FlatTriangles", "FrameData", "Geometry", "Instance",
@@ -76,6 +76,7 @@ MATERIAL_FLAT_SHIFT = wp.constant(16)
 @wp.struct
 class Instance:
     """One placed mesh. Rows of the affine transforms; object space is the mesh's own."""
+
     to_world: wp.mat44
     to_object: wp.mat44
     mesh: int
@@ -112,6 +113,7 @@ class Instance:
 @wp.struct
 class FlatTriangles:
     """Triangles in world space in an 8-wide BVH (wide_bvh.py)."""
+
     nodes: wp.array[wp.uint32]
     """Empty where there are no triangles"""
     triangles: wp.array[wp.uint32]
@@ -314,33 +316,6 @@ class Lights:
     """Probability of each class, sums to 1; lights.class_weight leaves out suns that set"""
     linked: int
     """1: some lights are for some objects alone"""
-
-
-@wp.struct
-class Tables:
-    """Directional albedos of GGX, see albedo_tables.py."""
-
-    ggx_e: wp.array2d[float]
-    """[cosine, roughness] single-scattering albedo for Fresnel 1"""
-    ggx_e_avg: wp.array[float]
-    """[roughness] mean over the cosine"""
-    glass_e: wp.array3d[float]
-    """[ior, cosine, roughness] dielectric interface, entering (ior > 1)"""
-    glass_e_avg: wp.array2d[float]
-    """[ior, roughness]"""
-    glass_inv_e: wp.array3d[float]
-    """Leaving (ior < 1)"""
-    glass_inv_e_avg: wp.array2d[float]
-    schlick_ior_s: wp.array3d[float]
-    """[ior, cosine, roughness] weight between F0 and F90 under the real dielectric Fresnel"""
-    schlick_s: wp.array2d[float]
-    """[cosine, roughness] weight between F0 and F90 under Schlick's curve, for metals"""
-    dielectric_c: wp.array3d[float]
-    """[ior, cosine, roughness] cosine at which a smooth dielectric reflects what a rough one does, by its albedo"""
-    schlick_c: wp.array2d[float]
-    """[cosine, roughness] the same for Schlick's curve"""
-    film: wp.array[wp.vec4]
-    """Colours of thin films, see engine/film_colors.py"""
 
 
 @wp.struct
