@@ -205,6 +205,8 @@ def add_glass_lobe(tables: Tables, bsdf: Bsdf, cos_o: float, result: BsdfAlbedo)
         reflectance = reflectance * (
             ggx_albedo(tables, cos_o, roughness)[0] / wp.max(energy, 1.0e-4))
     if bsdf.glass_kind == GLASS_REFRACTION:
+        if mean_component(sums.reflected) <= 0.0:
+            sums.roughness = roughness
         sums.transmitted = sums.transmitted + wp.cw_mul(bsdf.glass, one - reflectance) * energy
         if bsdf.glass_ior > 1.0:
             # It refracts everything: there is no Fresnel term that could reflect.

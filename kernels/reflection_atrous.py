@@ -59,7 +59,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # Largest ratio of densities: beyond it one neighbour would stand for all.
 RATIO_MAX = wp.constant(4.0)
 # Like BLUR_SHARE, of the directions mirrored at different normals, in each pass.
-NORMAL_SHARE = wp.constant(0.5)
+NORMAL_SHARE = wp.constant(1.0)
 # Weight of what clean-up has put together from neighbours, and the least of anything in later passes.
 REPLACED_SHARE = wp.constant(0.25)
 WEIGHT_MINIMUM = wp.constant(0.1)

@@ -15,7 +15,7 @@ from burnish.kernels.principled import evaluate_bsdf
 from burnish.kernels.reflectance import bsdf_albedo, fit_lobe
 from burnish.kernels.reflection_glass import is_inside, sample_inside, trapped_albedo
 from burnish.kernels.specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
-from burnish.kernels.types import CLOSURE_PRINCIPLED, Bsdf, Closure, ShadingPoint, Tables
+from burnish.kernels.types import CLOSURE_PRINCIPLED, CLOSURE_REFRACTION, Bsdf, Closure, ShadingPoint, Tables
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -177,3 +177,38 @@ def test_glass_keeps_light_inside(cosine, roughness):
     # Cycles' tables count some light as kept that its lobe drops, see albedo_tables.glass_sample.
     assert abs(kept - 1.0) < 0.06
     assert abs(trapped - 1.0) < 0.03
+
+
+@wp.kernel
+def refract(tables: Tables, roughness: float, coat: float, found_out: wp.array[float]):
+    """Find the roughness that the G-buffer gets of a Refraction BSDF."""
+    c = Closure()
+    c.kind = CLOSURE_REFRACTION
+    c.weight = wp.vec3(1.0, 1.0, 1.0)
+    c.color = c.weight
+    c.roughness = roughness
+    c.ior = 1.45
+    p = point_at(0.8, 0)
+    c.normal = p.normal
+    bsdf = prepare_bsdf(tables, c, p)
+    bsdf.coat_normal = p.normal
+    bsdf.coat = wp.vec3(coat, coat, coat)
+    bsdf.coat_ior = 1.5
+    bsdf.coat_alpha = 0.09
+    bsdf.pick_coat = coat
+    albedo = bsdf_albedo(tables, bsdf, p.wo)
+    found_out[0] = albedo.roughness
+    found_out[1] = albedo.transmitted[0]
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.2, 0.7])
+def test_filters_know_how_sharp_refraction_is(roughness):
+    """Where nothing reflects, the roughness by which light through a surface is filtered is that of its glass."""
+    out = wp.zeros(2, dtype=float, device="cpu")
+    wp.launch(refract, 1, [albedo_tables("cpu"), roughness, 0.0], [out], device="cpu")
+    found, transmitted = out.numpy()
+    assert transmitted > 0.5
+    assert found == pytest.approx(roughness, abs=1.0e-3)
+    wp.launch(refract, 1, [albedo_tables("cpu"), roughness, 0.5], [out], device="cpu")
+    # One lobe reflects, and the G-buffer has one roughness.
+    assert out.numpy()[0] == pytest.approx(0.3, abs=1.0e-3)
