@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, is_near
-from .geometry_math import is_finite3
+from .geometry_math import is_finite3, max_component
 from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, is_lit, known_indirect
 from .packing import rgb, unpack_normal
 from .paths import Paths
@@ -18,12 +18,28 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # The loop from cell to cell must lose something, or light grows without end between surfaces of albedo 1. What comes
 # straight from lights is in no loop: leaves that give 1.48 of what they get do so once.
 FEEDBACK_MAX = wp.constant(0.999)
+# Reflectance from which a surface is meant to give more than it gets (leaves that sum shaders up); below it is rounding
+# of tables. In the loop it does so with light up to GAIN_LIGHT, exposed: a room of such walls has an end.
+GAIN_MIN = wp.constant(1.05)
+GAIN_LIGHT = wp.constant(64.0)
 
 
 @wp.func
-def bounce_reflectance(vertices: Vertices, slot: int) -> wp.vec3:
-    """Return what a bounce ray's hit reflects of the cache's own light."""
-    return wp.min(rgb(vertices.reflectance[slot]), wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX))
+def lossy_light(vertices: Vertices, slot: int, light: wp.vec3) -> wp.vec3:
+    """Return what a bounce ray's hit gives of the cache's own light, always less than it gets."""
+    return wp.cw_mul(wp.min(rgb(vertices.reflectance[slot]), wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX)), light)
+
+
+@wp.func
+def bounced_light(view: View, vertices: Vertices, slot: int, light: wp.vec3) -> wp.vec3:
+    """Return what a bounce ray's hit gives of the cache's own light."""
+    result = lossy_light(vertices, slot, light)
+    reflectance = rgb(vertices.reflectance[slot])
+    if max_component(reflectance) > GAIN_MIN:
+        limit = GAIN_LIGHT / wp.max(view.exposure, 1.0e-20)
+        gain = wp.max(reflectance - wp.vec3(FEEDBACK_MAX, FEEDBACK_MAX, FEEDBACK_MAX), wp.vec3(0.0, 0.0, 0.0))
+        result = result + wp.cw_mul(gain, wp.min(light, wp.vec3(limit, limit, limit)))
+    return result
 
 
 @wp.kernel
@@ -48,7 +64,7 @@ def gather_bounces(
     carried = wp.vec3(0.0, 0.0, 0.0)
     emission = vertices_out.emission[slot]
     if emission[3] != IDLE:
-        reflectance = bounce_reflectance(vertices_out, slot)
+        reflectance = rgb(vertices_out.reflectance[slot])
         direct = rgb(paths.radiance[slot])
         cell = vertices_out.cell[slot]
         view = views[0]
@@ -57,7 +73,7 @@ def gather_bounces(
             if known[3] > 0.0 and view.light_age > 0:
                 samples = wp.where(paths.radiance[slot][3] == UNWATCHED, 0.0, 1.0)
                 direct = (rgb(known) * known[3] + direct) / (known[3] + samples)
-        if all_bounces == 1 and wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
+        if all_bounces == 1 and max_component(reflectance) > 0.0:
             p = vertices_out.position[slot]
             light = known_indirect(
                 grid, view, cell, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
@@ -67,8 +83,8 @@ def gather_bounces(
                 # One ray of a thousand meets cells so seldom met that nothing is known. Black would be lost in every
                 # bounce: 2 % of the light at albedo 0.95. The source's own light stands for the mean of the known.
                 light = grid.indirect[source]
-            carried = wp.cw_mul(reflectance, rgb(light))
-        arrived = rgb(emission) + wp.cw_mul(rgb(vertices_out.reflectance[slot]), direct)
+            carried = bounced_light(view, vertices_out, slot, rgb(light))
+        arrived = rgb(emission) + wp.cw_mul(reflectance, direct)
     if not (is_finite3(arrived) and is_finite3(carried)):
         arrived = wp.vec3(0.0, 0.0, 0.0)
         carried = wp.vec3(0.0, 0.0, 0.0)

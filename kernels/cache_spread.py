@@ -29,7 +29,7 @@ from .cache_cells import (
     scaled,
 )
 from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
-from .cache_shade import bounce_reflectance
+from .cache_shade import bounced_light, lossy_light
 from .geometry_math import is_finite3
 from .hash_grid import EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key, wide_key
 from .packing import rgb, unpack_normal
@@ -210,6 +210,14 @@ def spread_cells(
     grid_out.spread[cell] = light
 
 
+@wp.func
+def finite_or_black(light: wp.vec3) -> wp.vec3:
+    """Return light, black where it is not finite."""
+    if is_finite3(light):
+        return light
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
 @wp.kernel
 def spread_light(
     # In:
@@ -232,10 +240,9 @@ def spread_light(
     source = vertices_out.source[bounce]
     if source == NO_CELL:
         return
-    carried = wp.vec3(0.0, 0.0, 0.0)
+    light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     slot = count + bounce
     if vertices_out.emission[slot][3] != IDLE:
-        light = wp.vec4(0.0, 0.0, 0.0, 0.0)
         cell = vertices_out.cell[slot]
         if cell != NO_CELL:
             light = grid_out.spread[cell]
@@ -244,13 +251,14 @@ def spread_light(
             light = grid_out.spread[beyond]
         if not light[3] > 0.0:
             light = UNKNOWN_SHARE * grid_out.spread[source]
-        carried = wp.cw_mul(bounce_reflectance(vertices_out, slot), rgb(light))
-        if not is_finite3(carried):
-            carried = wp.vec3(0.0, 0.0, 0.0)
+    # Over the same few links again and again what gives more than it gets would grow beyond the mean of all links, and
+    # so would a balance of it: it gives all in the last sweep alone.
+    carried = finite_or_black(lossy_light(vertices_out, slot, rgb(light)))
     vertices_out.carried[bounce] = carried
     if goes_on == 0:
         add_balance(
             control_out, 1, bounce, rgb(grid_out.spread[source]), vertices_out.arrived[bounce], carried)
+        vertices_out.carried[bounce] = finite_or_black(bounced_light(views[0], vertices_out, slot, rgb(light)))
         return
     sample = vertices_out.arrived[bounce] + carried
     add_sample(grid_out.sums, 6 * source + 3, sample)

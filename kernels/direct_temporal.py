@@ -22,7 +22,7 @@ from .filter_weights import (
     surface_weight,
     unit_normal,
 )
-from .gbuffer import SURFACE_TRANSLUCENT, GBuffer
+from .gbuffer import BRIGHT_SCALE, SURFACE_BRIGHT, SURFACE_TRANSLUCENT, GBuffer
 from .geometry_math import is_finite3
 from .long_mean import (
     ALL_TAPS,
@@ -108,9 +108,13 @@ def empty_mean() -> DirectMean:
 def albedos(gbuffer: GBuffer, pixel: int) -> wp.vec2:
     """Return the luminances of a surface's diffuse and specular albedo."""
     diffuse = brightness(unpack_color(gbuffer.diffuse[pixel]))
+    specular = brightness(unpack_color(gbuffer.specular[pixel]))
     if (gbuffer.material[pixel] & SURFACE_TRANSLUCENT) != wp.uint32(0):
         diffuse = diffuse + brightness(unpack_color(gbuffer.translucent[pixel]))
-    return wp.vec2(diffuse, brightness(unpack_color(gbuffer.specular[pixel])))
+        if (gbuffer.material[pixel] & SURFACE_BRIGHT) != wp.uint32(0):
+            diffuse = diffuse * BRIGHT_SCALE
+            specular = specular * BRIGHT_SCALE
+    return wp.vec2(diffuse, specular)
 
 
 @wp.func

@@ -22,7 +22,11 @@ SURFACE_VEILED = wp.constant(wp.uint32(1 << 26))
 SURFACE_BACKFACING = wp.constant(wp.uint32(1 << 27))
 SURFACE_BRIGHT = wp.constant(wp.uint32(1 << 28))
 """`f0` is stored as a quarter and the reflectance at grazing angles as half: energy compensation lifts rough metals
-to 3.3"""
+to 3.3. With SURFACE_TRANSLUCENT `diffuse`, `specular` and `translucent` are quarters too: where shaders are summed up,
+one that is drawn stands for all"""
+BRIGHT_SCALE = wp.constant(4.0)
+BRIGHT_MIN = wp.constant(1.02)
+"""Albedo from which it is no rounding of 1"""
 SURFACE_TRANSMITS = wp.constant(wp.uint32(1 << 29))
 """`transmitted` holds a colour"""
 SURFACE_COATED = wp.constant(wp.uint32(1 << 30))
@@ -146,12 +150,16 @@ def load_material(gbuffer: GBuffer, pixel: int) -> SurfaceMaterial:
     m.diffuse = unpack_color(gbuffer.diffuse[pixel])
     m.specular = unpack_color(gbuffer.specular[pixel])
     m.f0 = unpack_color(gbuffer.f0[pixel])
-    if (packed & SURFACE_BRIGHT) != wp.uint32(0):
-        m.f0 = m.f0 * 4.0
-        m.f90 = m.f90 * 2.0
     m.translucent = wp.vec3(0.0, 0.0, 0.0)
     if (packed & SURFACE_TRANSLUCENT) != wp.uint32(0):
         m.translucent = unpack_color(gbuffer.translucent[pixel])
+    if (packed & SURFACE_BRIGHT) != wp.uint32(0):
+        m.f0 = m.f0 * BRIGHT_SCALE
+        m.f90 = m.f90 * 2.0
+        if (packed & SURFACE_TRANSLUCENT) != wp.uint32(0):
+            m.diffuse = m.diffuse * BRIGHT_SCALE
+            m.specular = m.specular * BRIGHT_SCALE
+            m.translucent = m.translucent * BRIGHT_SCALE
     m.transmitted = wp.vec3(0.0, 0.0, 0.0)
     if (packed & SURFACE_TRANSMITS) != wp.uint32(0):
         m.transmitted = unpack_color(gbuffer.transmitted[pixel])
@@ -170,14 +178,22 @@ def store_material(gbuffer: GBuffer, pixel: int, m: SurfaceMaterial):
     flags = m.flags & ~(SURFACE_BRIGHT | SURFACE_TRANSLUCENT | SURFACE_TRANSMITS | SURFACE_COATED)
     f0 = m.f0
     f90 = m.f90
-    if max_component(f0) > 1.0 or f90 > GRAZING_MAX:
+    diffuse = m.diffuse
+    specular = m.specular
+    translucent = m.translucent
+    beyond = max_component(wp.max(wp.max(diffuse, translucent), specular)) > BRIGHT_MIN
+    if max_component(f0) > 1.0 or f90 > GRAZING_MAX or beyond:
         flags = flags | SURFACE_BRIGHT
-        f0 = f0 * 0.25
+        f0 = f0 / BRIGHT_SCALE
         f90 = f90 * 0.5
     gbuffer.translucent[pixel] = wp.uint32(0)
-    if max_component(m.translucent) > 0.0:
+    if max_component(translucent) > 0.0 or beyond:
         flags = flags | SURFACE_TRANSLUCENT
-        gbuffer.translucent[pixel] = pack_color(m.translucent)
+        if (flags & SURFACE_BRIGHT) != wp.uint32(0):
+            diffuse = diffuse / BRIGHT_SCALE
+            specular = specular / BRIGHT_SCALE
+            translucent = translucent / BRIGHT_SCALE
+        gbuffer.translucent[pixel] = pack_color(translucent)
     if max_component(m.transmitted) > 0.0:
         flags = flags | SURFACE_TRANSMITS
         gbuffer.transmitted[pixel] = pack_color(m.transmitted)
@@ -187,8 +203,8 @@ def store_material(gbuffer: GBuffer, pixel: int, m: SurfaceMaterial):
     roughness = wp.uint32(wp.clamp(m.roughness, 0.0, 1.0) * 65535.0 + 0.5)
     grazing = wp.uint32(wp.clamp(f90 / GRAZING_MAX, 0.0, 1.0) * 255.0 + 0.5)
     gbuffer.material[pixel] = roughness | (grazing << wp.uint32(16)) | (flags & SURFACE_FLAGS)
-    gbuffer.diffuse[pixel] = pack_color(m.diffuse)
-    gbuffer.specular[pixel] = pack_color(m.specular)
+    gbuffer.diffuse[pixel] = pack_color(diffuse)
+    gbuffer.specular[pixel] = pack_color(specular)
     gbuffer.f0[pixel] = pack_color(f0)
 
 
