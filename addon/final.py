@@ -180,7 +180,7 @@ class FinalRender:
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)
-        self.facts = scene_facts(extractor.materials(), extractor.linked_materials())
+        self.facts = scene_facts(extractor.materials(), extractor.linked_materials(), extractor.world)
         session.update(delta, self.progress.stage)
         self.mesh_keys = extractor.mesh_keys() if self.others else {}
         # Markers change the scene's camera from frame to frame.

@@ -22,6 +22,7 @@ from .lamps import lamp_power
 from .light_linking import is_linked, same_links
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
+from .media import Media, scene_media
 from .opacity_maps import OpacityMaps
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
@@ -65,8 +66,7 @@ class DeviceScene:
         self.device = device
         self.report = Report()
         self.times: dict[str, float] = {}
-        self.store = GeometryStore(device)
-        self.structures = Structures(device)
+        self.store, self.structures = GeometryStore(device), Structures(device)
         self.textures = TextureStore(device)
         self.opacity_maps = OpacityMaps(device)
         self.material_table = MaterialTable(device)
@@ -84,8 +84,7 @@ class DeviceScene:
         self.lights: list[LightData] = []
         self.lamps, self.lamp_tables = np.zeros(0, types.Light.numpy_dtype()), LampTables(device)
         self.world: WorldData | None = None
-        self.origin = np.zeros(3)
-        self.radius = 1.0
+        self.origin, self.radius = np.zeros(3), 1.0
         self.triangle_count = 0
         """Of all instances together"""
         self.luminance = (0.2126729, 0.7151522, 0.0721750)
@@ -104,6 +103,8 @@ class DeviceScene:
         self.tables = albedo_tables(device)
         self.names: tuple[int, int] = (0, 0)
         self.changes = SceneChanges()
+        self.media: Media | None = None
+        """None where nothing drawn has a medium, nor the world"""
 
     def apply(self, delta: SceneDelta, settings: PerformanceSettings, progress: Progress | None = None) -> None:
         """Bring the device up to date with a delta.
@@ -115,6 +116,7 @@ class DeviceScene:
         self.times = {}
         with device_errors("the scene"):
             self._apply(delta, settings, tell)
+            self.media = scene_media(self)
 
     def _apply(self, delta: SceneDelta, settings: PerformanceSettings, tell: Progress) -> None:
         if self._follow(delta):
@@ -237,10 +239,8 @@ class DeviceScene:
         self.store.clear()
         self.structures.clear()
         self.textures.clear()
-        self.materials = {}
+        self.materials, self.lights, self.report = {}, [], Report()
         self.table = self.plan = None
-        self.lights = []
-        self.report = Report()
 
     @contextlib.contextmanager
     def _timed(self, name: str) -> Iterator[None]:

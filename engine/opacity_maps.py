@@ -114,8 +114,9 @@ class OpacityMaps:
         table, masks = source.table, {}
         for key in {key for keys in table.material_sets for key in keys}:
             data = source.materials.get(key)
-            # Emission may shine from where all light passes.
-            found = _mask_of(data.program) if data is not None and not data.has_emission else None
+            # Emission may shine from where all light passes, and media begin there.
+            known = data is not None and not data.has_emission and not data.medium
+            found = _mask_of(data.program) if known else None
             if found is not None:
                 texture = -1 if found.image is None else source.textures.index(found.image)
                 uv_map = -1 if found.uv_map is None else source.store.uv_id(found.uv_map)

@@ -15,7 +15,7 @@ from ..kernels.rest_blend import TELLING_SAMPLES
 from .passes.rest import SETTLING
 from .program import Program
 from .report import Report, ReportKind
-from .scene import MaterialData
+from .scene import MaterialData, WorldData
 from .settings import Integrator, RenderSettings
 from .subsurface import subsurface_flags
 
@@ -33,19 +33,24 @@ class SceneFacts:
     """Refraction (glass, transmission)"""
     scattering: int = 0
     """Light scattered below the surface"""
+    media: int = 0
+    """Volumes, the world's included"""
     linked_unsampled: int = 0
     """Emission that is not sampled as light, of objects that light some objects alone"""
 
 
-def scene_facts(materials: Iterable[MaterialData], linked: Iterable[MaterialData] = ()) -> SceneFacts:
+def scene_facts(
+    materials: Iterable[MaterialData], linked: Iterable[MaterialData] = (), world: WorldData | None = None,
+) -> SceneFacts:
     """Return the facts about all materials in a scene; `linked`: those of objects that light some objects alone."""
-    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0}
+    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "media": int(bool(world and world.medium))}
     reflective = []
     for material in materials:
         facts = list(material_facts(material.program))
         for fact in {fact for fact in facts if isinstance(fact, str)}:
             counts[fact] += 1
         counts["scattering"] += subsurface_flags(material.program) != 0
+        counts["media"] += bool(material.medium)
         lobes = [fact for fact in facts if isinstance(fact, float)]
         if lobes:
             reflective.append(max(lobes))
@@ -91,6 +96,8 @@ def realtime_approximations(
     if facts.scattering:
         report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering is drawn as diffuse reflection{until}",
                    facts.scattering)
+    if facts.media:
+        report.add(ReportKind.APPROXIMATED, "", f"volumes are left out{until}", facts.media)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from .media import MediumData
 from .program import Program
 from .sky.image import TO_REC709
 
@@ -136,6 +137,8 @@ class MaterialData:
     """The emitted radiance where it is the same everywhere, else None (the program is evaluated)"""
     aovs: dict[str, Program] = field(default_factory=dict)
     """Shader AOVs by the names of their passes (pass_names.py): programs that emit the value"""
+    medium: MediumData | None = None
+    """What fills closed meshes; None: nothing"""
 
 
 class ColorEncoding(enum.StrEnum):
@@ -250,6 +253,8 @@ class WorldData:
     """Distance within which things count for the Ambient Occlusion pass [m]"""
     aovs: dict[str, Program] = field(default_factory=dict)
     """As of materials"""
+    medium: MediumData | None = None
+    """What fills everything, without end"""
     sun: LightData | None = None
     """Lamp that shines as the sun of its sky does, which the program shows to the camera alone; the host hands it over
     among SceneDelta.lights"""

@@ -67,6 +67,9 @@ from ..kernels import (
     light_split,
     lobe_moments,
     materials,
+    media_march,
+    media_scatter,
+    media_shadows,
     misses,
     occlusion,
     opacity_answers,
@@ -148,7 +151,7 @@ KERNEL_MODULES = (
     reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean,
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
     subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
-    reference_subsurface, first_hits,
+    reference_subsurface, first_hits, media_march, media_scatter, media_shadows,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -172,7 +172,7 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
 
     The light samples are drawn once more with their numbers (see path_shading.sample_direct_light), for a surface
     without a back and for both of its sides: where shading normals lean away, light from behind may count. The one kept
-    is that where the shadow ray ends.
+    is that where the shadow ray ends. A path that has met no surface has been scattered by a medium, without sides.
     """
     seed = paths.seed[path]
     index = paths.index[path]
@@ -181,22 +181,30 @@ def shadow_light_group(scene: Scene, tables: GroupTables, paths: Paths, path: in
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     direction = paths.shadow_direction[path]
     distance = wp.abs(paths.shadow_distance[path])
-    point = surface_point(scene, make_hit(0.0, paths.hit[path], paths.barycentrics[path]), -direction)
+    position = paths.shadow_origin[path]
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    scattered = paths.hit[path][0] == MISS
+    if not scattered:
+        point = surface_point(scene, make_hit(0.0, paths.hit[path], paths.barycentrics[path]), -direction)
+        position = point.position
+        normal = point.normal
     group = int(NO_GROUP)
     nearest = float(FAR)
     k = int(0)
     while k < 3 * LIGHT_CANDIDATES:
-        side = point.normal * float(k % 3 - 1)
+        side = normal * float(k % 3 - 1)
         found = light_again(
-            scene, tables, point.position, side,
+            scene, tables, position, side,
             candidate_place(place, float(k // 3), LIGHT_CANDIDATES), refill)
         s = found.sample
         # Lights for other objects may lie in the same place.
-        known = s.kind >= 0 and is_for(scene, s.visibility, point.instance)
+        known = s.kind >= 0
+        if known and not scattered:
+            known = is_for(scene, s.visibility, paths.hit[path][0])
         if known and (s.distance >= FAR) == (distance >= FAR):
             off = s.wi - direction
             if distance < FAR:
-                off = (point.position + s.wi * s.distance - paths.shadow_origin[path]) / distance - direction
+                off = (position + s.wi * s.distance - paths.shadow_origin[path]) / distance - direction
             if wp.length_sq(off) < nearest:
                 nearest = wp.length_sq(off)
                 group = found.group

@@ -173,6 +173,23 @@ def keep_exit_light(
             split_out.path_share[path] = wp.vec4(1.0, 1.0, 1.0, 1.0)
 
 
+@wp.kernel
+def leave_out_scattered(
+    # In:
+    paths: Paths,
+    scattered: wp.array[int],
+    # Out:
+    split_out: LightSplit,
+):
+    """Keep paths that a medium has scattered before they met a surface out of the lobes' light: of none they are."""
+    path = wp.tid()
+    if scattered[path] == 1:
+        whole = rgb(paths.radiance[path])
+        split_out.seen[path] = whole
+        split_out.lamps[path] = whole
+        split_out.direct[path] = whole
+
+
 @wp.func
 def lobe_share(share: wp.vec4, lobe: int) -> wp.vec3:
     """Return the share of a path's light that a lobe (PASS_*) has; those of all three add up to 1."""

@@ -30,7 +30,9 @@ EXITS = wp.constant(8)
 """Those of them that come out"""
 LAYERED_EXITS = wp.constant(9)
 """Those whose shadow rays a triangle that needs a test stands in the way of"""
-LIST_COUNT = wp.constant(10)
+SCATTERED = wp.constant(10)
+"""Paths that a medium has scattered"""
+LIST_COUNT = wp.constant(11)
 
 
 @wp.kernel

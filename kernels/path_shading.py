@@ -56,7 +56,7 @@ from .types import (
 )
 from .wide_loads import load_instance, load_material_flags
 
-__all__ = ["begin_hit", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
+__all__ = ["begin_hit", "carry_light", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
 
 # Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
 LIGHT_CANDIDATES = wp.constant(2)
@@ -78,6 +78,31 @@ def visible_part(f: wp.vec3, diffuse: wp.vec3, reflected: bool, visibility: int)
 
 
 @wp.func
+def carry_light(scene: Scene, s: LightSample, light: wp.vec3, paths: Paths, path: int) -> bool:
+    """Store what the shadow ray of a light sample carries, by what is known of the light; return whether anything."""
+    pending = int(PENDING_NONE)
+    carried = light
+    if s.kind == LIGHT_TRIANGLE:
+        material = triangle_material(scene, s.instance, s.triangle)
+        if (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_CONSTANT_EMISSION) != 0:
+            carried = wp.cw_mul(light, scene.materials.materials[material].emission)
+        else:
+            pending = PENDING_TRIANGLE
+    if s.kind == LIGHT_ENVIRONMENT:
+        if scene.environment.constant == 1:
+            carried = wp.cw_mul(light, scene.environment.radiance)
+        else:
+            pending = PENDING_WORLD
+    if not max_component(carried) > 0.0:
+        return False
+    paths.shadow_light[path] = carried
+    paths.shadow_pending[path] = pending
+    paths.shadow_emitter[path] = wp.vec2i(s.instance, s.triangle)
+    paths.shadow_barycentrics[path] = wp.vec2(s.u, s.v)
+    return True
+
+
+@wp.func
 def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths, path: int):
     """Store the shadow ray of a light sample and what it carries."""
     if s.kind == LIGHT_ENVIRONMENT and scene.environment.constant == 1 and wp.dot(lit_side(point, s.wi), s.wi) <= 0.0:
@@ -92,29 +117,12 @@ def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.
         distance = wp.length(target)
         if distance > 0.0:
             direction = target / distance
-    pending = int(PENDING_NONE)
-    carried = light
-    if s.kind == LIGHT_TRIANGLE:
-        material = triangle_material(scene, s.instance, s.triangle)
-        if (load_material_flags(scene.materials.materials, material)[3] & MATERIAL_CONSTANT_EMISSION) != 0:
-            carried = wp.cw_mul(light, scene.materials.materials[material].emission)
-        else:
-            pending = PENDING_TRIANGLE
-    if s.kind == LIGHT_ENVIRONMENT:
-        if scene.environment.constant == 1:
-            carried = wp.cw_mul(light, scene.environment.radiance)
-        else:
-            pending = PENDING_WORLD
-    if max_component(carried) > 0.0:
+    if carry_light(scene, s, light, paths, path):
         paths.shadow_origin[path] = origin
         paths.shadow_direction[path] = direction
         paths.shadow_distance[path] = distance
         if s.shadow == 0:
             paths.shadow_distance[path] = -distance
-        paths.shadow_light[path] = carried
-        paths.shadow_pending[path] = pending
-        paths.shadow_emitter[path] = wp.vec2i(s.instance, s.triangle)
-        paths.shadow_barycentrics[path] = wp.vec2(s.u, s.v)
 
 
 @wp.func

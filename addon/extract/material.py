@@ -20,6 +20,7 @@ from ...engine.sky.image import TO_REC709
 from . import node_ies, node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
 from .node_graph import Graph
 from .node_shaders import add_shader
+from .volume import read_medium
 
 __all__ = ["extract_light_shader", "extract_material", "extract_world", "from_xyz"]
 
@@ -43,9 +44,10 @@ def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
-def make_graph(tree, images, report: Report, owner: str, *, world: bool = False, lamp: bool = False) -> Graph:
+def make_graph(tree, images, report: Report, owner: str, *, world: bool = False, lamp: bool = False,
+               builder: ProgramBuilder | None = None) -> Graph:
     """Return a graph over an inlined tree, ready to compile in the file's working space."""
-    graph = Graph(tree, ProgramBuilder(), images, report, owner, world=world, lamp=lamp)
+    graph = Graph(tree, builder or ProgramBuilder(), images, report, owner, world=world, lamp=lamp)
     space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
     graph.from_rec709 = FROM_REC709.get(space)
     return graph
@@ -102,7 +104,9 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
     inlined = bpy.types.InlineShaderNodes.from_material(material)
     graph = make_graph(inlined.node_tree, images, report, owner)
     try:
-        compile_surface(graph, material, output_node(inlined.node_tree))
+        output = output_node(inlined.node_tree)
+        compile_surface(graph, material, output)
+        data.medium = read_medium(make_graph, inlined.node_tree, output, report, owner)
         data.program = graph.builder.finish()
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
@@ -117,15 +121,16 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
 
 
 def compile_surface(graph: Graph, material: bpy.types.Material, output) -> None:
-    """Add everything that the Surface socket of an output leads to; name what else is linked."""
+    """Add everything that the Surface socket of an output leads to."""
     if output is None:
         return
-    if graph.is_linked(output, "Volume"):
-        graph.report.add(ReportKind.SKIPPED, graph.owner, "has a volume, which is not drawn")
     if graph.is_linked(output, "Displacement"):
         graph.normal = displacement_normal(graph, material, output)
     source = graph.source(output, "Surface")
     if source is None:
+        if graph.is_linked(output, "Volume"):
+            # What has no surface is the boundary of a medium, which nobody sees.
+            graph.builder.transparent(1.0, 1.0)
         return
     if source[1].type == 'SHADER':
         add_shader(graph, source[0], graph.builder.constant(1.0))
@@ -181,8 +186,7 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
         graph.builder, data.sun = ProgramBuilder(), None
         graph.builder.emit(tuple(world.color), 1.0, 1.0)
         data.program = graph.builder.finish()
-    if output is not None and graph.is_linked(output, "Volume"):
-        report.add(ReportKind.SKIPPED, owner, "has a volume, which is not drawn")
+    data.medium = read_medium(make_graph, inlined.node_tree, output, report, owner)
     data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, world=True)
     data.constant = graph.builder.constant_emission()
     if graph.widths:

@@ -112,6 +112,11 @@ class SceneExtractor:
         """Return all materials of the scene as of the last extraction, changed then or not."""
         return [data for data, _ in self._materials.values()]
 
+    @property
+    def world(self) -> WorldData | None:
+        """Return the world as of the last extraction."""
+        return self._world
+
     def linked_materials(self) -> list[MaterialData]:
         """Return the materials, as of the last extraction, of objects that light some objects alone."""
         table = self._table

@@ -31,11 +31,13 @@ from ...kernels import (
     reference_plain,
     tracing,
 )
+from ...kernels.media import Media
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
 from ..structures import is_flat
+from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_steps import shadow_steps
 from .subsurface import below_step, exit_steps
@@ -166,13 +168,15 @@ class ReferencePass:
         self.bands: list[Band] = []
         self.slots: list[Wavefront] = []
         self.lock = threading.Lock()
+        self.media: Media | None = None
+        """Those of the scene that render() is given; None without any"""
 
     def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
         """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
         limit = CPU_BAND_PATHS
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
-            room //= PATH_BYTES + (light.path_bytes if light else 0)
+            room //= PATH_BYTES + MEDIA_BYTES + (light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
@@ -206,10 +210,13 @@ class ReferencePass:
         """Return states for a band's paths that no other thread uses until they are given back."""
         with self.lock:
             if self.slots:
-                return self.slots.pop()
+                slot = self.slots.pop()
+                fit_media(slot, self.media)
+                return slot
         slot = Wavefront(self.capacity, self.passes, self.device)
         if self.light:
             slot.light = self.light.make_paths(slot.paths, self.capacity)
+        fit_media(slot, self.media)
         return slot
 
     def give_slot(self, slot: Wavefront) -> None:
@@ -278,13 +285,16 @@ class ReferencePass:
             if options.passes == 1:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
             if slot.trace(
-                    "paths", (scene, options, slot.light and slot.light.film.scene_groups),
+                    "paths", (scene, options, slot.light and slot.light.film.scene_groups, self.media),
                     lambda: path_steps(slot, scene, options), frame, filter_table,
-                    (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop):
+                    (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop,
+                    slot.media and (lambda total: slot.media.start(slot, scene, total))):
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
                 if buffers.light:
+                    if slot.media:
+                        slot.media.finish_light(slot.light, band.count * count)
                     buffers.light.add(slot.light, options.exposure, band.first, band.count, count)
                 band.samples += count
             if self.cuda:
@@ -311,10 +321,13 @@ def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
 
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return one segment of every path: the path tracer's table of contents."""
-    shading = [slot.frame, scene, options]
-    steps, light = hit_steps(slot, scene, options), slot.light
+    shading, media, light = [slot.frame, scene, options], slot.media, slot.light
+    if media:
+        steps = [*media.hit_steps(scene, options, light), media.miss_step(scene, options)]
+    else:
+        steps = hit_steps(slot, scene, options)
     if light:
-        steps[-1:-1] = light.steps_before_misses(scene, options)
+        steps[-1:-1] = [] if media else light.steps_before_misses(scene, options)
         steps += light.steps_before_shading(scene, slot.rounds)
     steps.append(Step(reference_lean.shade_lean_paths, shading, fills=("next",)))
     if not options.all_lean:
@@ -326,11 +339,13 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         else:
             shade = reference_film.shade_film_paths if options.films else reference.shade_paths
             steps.append(Step(shade, shading, over="full_hits", fills=("next",)))
+    if media:
+        steps.append(media.scatter_step(shading, slot.rounds))
     if options.passes == 1:
         steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
     if light:
         steps += light.steps_after_shading(scene, slot.rounds)
-    steps += shadow_steps(slot, scene, options)
+    steps += media.shadow_steps(slot, scene, options) if media else shadow_steps(slot, scene, options)
     if light:
         steps += light.steps_after_shadows(slot.rounds)
     return steps + exit_steps(slot, scene, options) if options.subsurface == 1 else steps

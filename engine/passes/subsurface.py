@@ -29,5 +29,8 @@ def exit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         reference_subsurface.shade_exits, [scene, options.subsurface_bump, slot.rounds], over="exits", fills=("next",)))
     if slot.light:
         steps += slot.light.steps_before_exit_shadows(scene, slot.rounds)
-    steps += shadow_steps(slot, scene, options, "exits", "layered_exits")
+    if slot.media:
+        steps += slot.media.shadow_steps(slot, scene, options, "exits")
+    else:
+        steps += shadow_steps(slot, scene, options, "exits", "layered_exits")
     return steps + slot.light.steps_after_exit_shadows(slot.rounds) if slot.light else steps

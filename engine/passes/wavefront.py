@@ -27,7 +27,8 @@ __all__ = ["Step", "Wavefront", "make_paths"]
 
 LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
          "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS,
-         "below": path_lists.BELOW, "exits": path_lists.EXITS, "layered_exits": path_lists.LAYERED_EXITS}
+         "below": path_lists.BELOW, "exits": path_lists.EXITS, "layered_exits": path_lists.LAYERED_EXITS,
+         "scattered": path_lists.SCATTERED}
 """Beside "living", the list of each round"""
 
 PROCESSOR_THREADS = 1
@@ -81,6 +82,8 @@ class Wavefront:
         self.paths = make_paths(capacity, passes, device)
         self.light: Any = None
         """What is kept of the paths for the passes of light (path_light.py)"""
+        self.media: Any = None
+        """What is kept of the media that they are in (media.py); None in scenes without any"""
         self.frame = wp.zeros(1, dtype=FrameData, device=device)
         self.rounds = wp.zeros(1, dtype=int, device=device)
         """Surfaces that the paths have met before this round's"""
@@ -103,6 +106,7 @@ class Wavefront:
     def trace(
         self, name: str, made_for: tuple, steps: Callable[[], list[Step]], frame: np.ndarray, table: wp.array,
         pixels: tuple[int, int], samples: tuple[int, int], limit: int, should_stop: Callable[[], bool],
+        begin: Callable[[int], None] | None = None,
     ) -> bool:
         """Start the paths of a band's pixels at the camera and run rounds over them; return as loop() does.
 
@@ -116,6 +120,7 @@ class Wavefront:
             samples: The first of the pixels' samples, and how many they get.
             limit: See loop().
             should_stop: See loop().
+            begin: What else is done with the paths that have been started; told how many they are.
         """
         (first_pixel, pixel_count), (first_sample, sample_count) = pixels, samples
         row = frame.copy()
@@ -123,6 +128,8 @@ class Wavefront:
         self.frame.assign(row)
         total = pixel_count * sample_count
         launch(tracing.generate_paths, total, [self.frame, table, first_pixel, pixel_count], [self.paths], self.device)
+        if begin is not None:
+            begin(total)
         return self.loop(
             name, made_for, steps, total, limit, should_stop, (row["crop_width"].item(), pixel_count))
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
+from burnish.engine.media import MediumData
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.report import ReportKind
 from burnish.engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
-from burnish.engine.scene import MaterialData
+from burnish.engine.scene import MaterialData, WorldData
 from burnish.engine.settings import (
     DebugSettings,
     DenoiserSettings,
@@ -20,7 +21,7 @@ from burnish.engine.settings import (
 )
 
 EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, linked_unsampled=5,
-                        scattering=6)
+                        scattering=6, media=7)
 
 BELOW = {"subsurface_method": "WALK", "subsurface_radius": 0.1}
 
@@ -89,11 +90,21 @@ def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5, 6]
+    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5, 6, 7]
     text = " ".join(entry.message for entry in entries)
-    for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field", "subsurface scattering"):
+    for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field", "subsurface scattering",
+                 "volumes"):
         assert word in text, word
-    assert text.count("until the picture has rested for 12 frames") == 6
+    assert text.count("until the picture has rested for 12 frames") == 7
+
+
+def test_media_are_counted() -> None:
+    """Count materials with a medium, and the world's."""
+    medium = MediumData(extinction=(1.0, 0.0, 0.0))
+    filled = dataclasses.replace(material("DIFFUSE"), medium=medium)
+    world = WorldData(name="fog", program=filled.program, medium=medium)
+    assert scene_facts([filled, material("DIFFUSE")]).media == 1 and scene_facts([filled], (), world).media == 2
+    assert scene_facts([dataclasses.replace(filled, medium=MediumData())]).media == 0
 
 
 @pytest.mark.parametrize(("limit", "count"), [(0.05, 4), (0.65, 2), (1.0, 1)])
@@ -126,4 +137,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 6 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 7 and all(words in entry.message for entry in entries), entries

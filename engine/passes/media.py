@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Host side of participating media in the path tracer: the steps of a round in scenes with media.
+
+They stand in for those that find hits and layers, and for those of shadow rays; surfaces are shaded as ever. A path
+that a medium scatters has met something, as at a surface: that is a bounce.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernels import light_split, media_march, media_scatter, media_shadows, shadow_lights, tracing
+from ...kernels.light_groups import GroupLight, GroupTables
+from ...kernels.media import Media, MediaPaths
+from ...kernels.paths import Options
+from ...kernels.types import Scene
+from ..device import launch
+from .path_light import PathLight
+from .wavefront import Step, Wavefront
+
+__all__ = ["MEDIA_BYTES", "PathMedia", "fit_media"]
+
+MEDIA_BYTES = 44
+"""Of what is kept of one path, and its place in a list"""
+
+
+@dataclass
+class PathMedia:
+    """What a batch of paths keeps of the media that they are in."""
+
+    media: Media
+    kept: MediaPaths
+    device: str
+
+    def start(self, slot: Wavefront, scene: Scene, count: int) -> None:
+        """Find the media that the first `count` paths begin in."""
+        launch(media_march.start_media, count, [scene, self.media, slot.paths], [self.kept], self.device)
+
+    def hit_steps(self, scene: Scene, options: Options, light: PathLight | None) -> list[Step]:
+        """Return what finds hits and lists the paths that are scattered before; with light groups tells lamps apart."""
+        grouped = light is not None and light.groups is not None
+        tables, groups = (light.film.scene_groups.tables, light.groups) if grouped else (GroupTables(), GroupLight())
+        return [Step(tracing.trace_paths, [scene]),
+                Step(media_march.march_media, [scene, options, self.media, tables], fills=("scattered",),
+                     outputs=[self.kept, groups])]
+
+    def miss_step(self, scene: Scene, options: Options) -> Step:
+        """Return what adds the world and plays roulette, and lists what needs the full machine."""
+        return Step(media_scatter.shade_media_misses, [scene, options], fills=("more_hits",))
+
+    def scatter_step(self, shading: list, rounds: wp.array) -> Step:
+        """Return what lights scattered paths; comes after surfaces, which forget shadow rays of before."""
+        return Step(media_scatter.scatter_paths, [*shading, self.media, self.kept, rounds], over="scattered",
+                    fills=("next",))
+
+    def finish_light(self, light: PathLight, count: int) -> None:
+        """Keep what `count` finished paths have of media out of the passes of surfaces' light."""
+        if light.split is not None:
+            launch(light_split.leave_out_scattered, count, [light.paths, self.kept.first], [light.split], self.device)
+
+    def shadow_steps(self, slot: Wavefront, scene: Scene, options: Options, over: str = "living") -> list[Step]:
+        """Return what traces the shadow rays of the paths of a list and adds their light."""
+        # None is done with when nothing opaque is in its way.
+        waiting = Options()
+        for name in Options.vars:
+            setattr(waiting, name, getattr(options, name))
+        waiting.filtered = 1
+        steps = [Step(tracing.trace_shadows, [scene, waiting, slot.rounds], over),
+                 Step(media_shadows.weaken_in_media, [scene, options, self.media, slot.rounds], over,
+                      outputs=[self.kept])]
+        if options.programs == 1:
+            steps.append(Step(shadow_lights.shade_lights, [scene, options, slot.rounds], over))
+        return steps
+
+
+def fit_media(slot: Wavefront, media: Media | None) -> None:
+    """Make room beside the states of paths for a scene's media, or note that it has none."""
+    if media is None:
+        slot.media = None
+    elif slot.media is None:
+        kept = MediaPaths()
+        for name, dtype in (("objects", wp.vec4i), ("media", wp.vec4i), ("backfacing", int), ("first", int)):
+            setattr(kept, name, wp.zeros(slot.capacity, dtype=dtype, device=slot.device))
+        slot.media = PathMedia(media, kept, slot.device)
+    else:
+        slot.media.media = media

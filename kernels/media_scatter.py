@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's kernels where rays end in scenes with media: scattered in one, or leaving the scene."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, safe_sqrt, to_frame
+from .intersect import MISS, may_emit, offset_origin, triangle_material
+from .lamp_hit import FAR
+from .lamp_sample import LightSample
+from .light_linking import kinds_lit, note_receiver
+from .lights import class_total, sample_light_of
+from .media import (
+    Inside,
+    Media,
+    MediaPaths,
+    choose_phase,
+    load_inside,
+    phase_value,
+)
+from .misses import add_world
+from .path_shading import LIGHT_CANDIDATES, candidate_place, carry_light
+from .paths import ENDED, Options, Paths, survives
+from .sampling import (
+    DIMENSION_BSDF,
+    DIMENSION_FIRST_BOUNCE,
+    DIMENSION_LIGHT,
+    DIMENSION_LIGHT_CHOICE,
+    DIMENSION_LOBE,
+    DIMENSION_RESAMPLE,
+    DIMENSIONS_PER_BOUNCE,
+    sample_number,
+    sample_pair,
+)
+from .subsurface import phase_cosine
+from .types import MATERIAL_LEAN, MATERIAL_SUBSURFACE, VISIBLE_VOLUME, FrameData, Scene
+from .wide_loads import load_material_flags
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.kernel
+def shade_media_misses(
+    # In:
+    scene: Scene,
+    options: Options,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Add the world to the paths that leave the scene and end them, play roulette; see misses.shade_misses.
+
+    Lamps have been met on the way. Media hide the world behind a transparent film by what they let through.
+    """
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        bounce = paths_out.state[path]
+        if bounce != ENDED:
+            hit = paths_out.hit[path]
+            if hit[0] == MISS:
+                add_world(scene, options, paths_out, path, bounce)
+                paths_out.state[path] = ENDED
+                if bounce == 0 and options.transparent == 1:
+                    r = paths_out.radiance[path]
+                    left = wp.clamp(mean_component(paths_out.throughput[path]), 0.0, 1.0)
+                    paths_out.radiance[path] = wp.vec4(r[0], r[1], r[2], 1.0 - left)
+            else:
+                material = triangle_material(scene, hit[0], hit[1])
+                going_on = True
+                if not may_emit(scene, material):
+                    going_on = survives(options, paths_out, path, bounce)
+                flags = load_material_flags(scene.materials.materials, material)[3]
+                if going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN:
+                    queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.func
+def set_scattered_shadow(scene: Scene, position: wp.vec3, s: LightSample, light: wp.vec3, paths: Paths, path: int):
+    """Store the shadow ray of a light sample from within a medium and what it carries."""
+    direction = s.wi
+    distance = s.distance
+    if distance < FAR:
+        target = offset_origin(position + s.wi * s.distance, s.normal, s.error, -s.wi) - position
+        distance = wp.length(target)
+        if distance > 0.0:
+            direction = target / distance
+    if carry_light(scene, s, light, paths, path):
+        paths.shadow_origin[path] = position
+        paths.shadow_direction[path] = direction
+        paths.shadow_distance[path] = wp.where(s.shadow == 0, -distance, distance)
+
+
+@wp.func
+def light_scattered(
+    scene: Scene, media: Media, inside: Inside, position: wp.vec3, instance: int, dimension: int, paths: Paths,
+    path: int,
+):
+    """Draw light samples where a path is scattered and store the shadow ray of one; see sample_direct_light."""
+    seed = paths.seed[path]
+    index = paths.index[path]
+    place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
+    refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
+    no_side = wp.vec3(0.0, 0.0, 0.0)
+    kept = LightSample()
+    kept.kind = -1
+    light = wp.vec3(0.0, 0.0, 0.0)
+    target = float(1.0)
+    total = float(0.0)
+    left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
+    classes = class_total(scene.lights, no_side)
+    k = int(0)
+    while k < LIGHT_CANDIDATES:
+        s = sample_light_of(
+            scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
+        if s.kind >= 0:
+            if instance >= 0:
+                s.visibility = kinds_lit(scene, s.visibility, instance)
+            value = phase_value(media, inside, wp.dot(paths.direction[path], s.wi))
+            weight = float(1.0)
+            if s.delta == 0:
+                weight = power_heuristic(s.pdf, value)
+            here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
+            worth = wp.dot(here, scene.luminance) * s.brightness
+            if is_finite3(here) and worth > 0.0 and (s.visibility & VISIBLE_VOLUME) != 0:
+                total = total + worth
+                share = worth / total
+                # What is left of a number after each decision is uniform again.
+                if left < share:
+                    left = left / share
+                    kept = s
+                    light = here
+                    target = worth
+                else:
+                    left = (left - share) / (1.0 - share)
+        k = k + 1
+    if kept.kind >= 0 and wp.isfinite(total):
+        set_scattered_shadow(
+            scene, position, kept, light * (total / (target * float(LIGHT_CANDIDATES))), paths, path)
+
+
+@wp.kernel
+def scatter_paths(
+    # In:
+    frames: wp.array[FrameData],
+    scene: Scene,
+    options: Options,
+    media: Media,
+    kept: MediaPaths,
+    bounces: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Light listed paths where media scatter them, and list those that go on.
+
+    `bounces`: how many surfaces and scatterings the paths have met before, one element.
+    """
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        bounce = bounces[0]
+        limited = options.max_bounces > 0 and bounce >= options.max_bounces
+        if not limited and survives(options, paths_out, path, bounce):
+            inside = load_inside(kept, path)
+            dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
+            seed = paths_out.seed[path]
+            index = paths_out.index[path]
+            before = paths_out.direction[path]
+            position = paths_out.origin[path] + before * paths_out.t[path]
+            choice = choose_phase(media, inside, sample_number(seed, index, dimension + DIMENSION_LOBE))
+            if scene.lights.class_count > 0:
+                light_scattered(scene, media, inside, position, choice.instance, dimension, paths_out, path)
+            u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
+            cosine = phase_cosine(choice.anisotropy, u[0])
+            sine = safe_sqrt(1.0 - cosine * cosine)
+            angle = TWO_PI * u[1]
+            direction = wp.normalize(
+                to_frame(before, wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), cosine)))
+            value = phase_value(media, inside, wp.dot(before, direction))
+            # The share is the density: no weight.
+            if value > 0.0:
+                paths_out.state[path] = bounce + 1
+                paths_out.cone[path] = wp.vec2(
+                    paths_out.cone[path][0] + paths_out.cone[path][1] * paths_out.t[path], paths_out.cone[path][1])
+                paths_out.origin[path] = position
+                paths_out.direction[path] = direction
+                paths_out.t[path] = FAR
+                paths_out.pdf[path] = value
+                paths_out.side[path] = wp.vec3(0.0, 0.0, 0.0)
+                paths_out.kind[path] = VISIBLE_VOLUME
+                note_receiver(scene, wp.max(choice.instance, 0), paths_out, path)
+                queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Participating media in the path tracer: what passes, energy, nesting, passes; scenes without any pay nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from burnish.engine.media import MediumData, PhaseData
+from burnish.engine.passes import wavefront
+from burnish.engine.passes.composite import LIGHT_PASSES
+from burnish.engine.session import Session
+
+from tests import scenes
+
+PASSES = ("Combined", "Emission", "Environment", *LIGHT_PASSES)
+MEDIA_KERNELS = {"start_media", "march_media", "shade_media_misses", "scatter_paths", "weaken_in_media"}
+
+
+def absorber(*extinction):
+    """Return a medium that scatters nothing."""
+    return MediumData(extinction=extinction)
+
+
+def cloud(density, anisotropy=0.0, albedo=(1.0, 1.0, 1.0)):
+    """Return a medium of an albedo."""
+    return MediumData(extinction=(density,) * 3,
+                      phases=(PhaseData(tuple(density * a for a in albedo), anisotropy),))
+
+
+def filled(medium, surface=None):
+    """Make a material with a medium: without a surface, if none is given."""
+    return dataclasses.replace(surface or scenes.transparent(1.0), medium=medium)
+
+
+def boxes(*media, background=1.0, lights=(), distance=0.0, others=(), materials=None, meshes=None):
+    """Make cubes of side 2 in the same place, or a distance apart in x, each with a medium, and other objects."""
+    meshes = {"box": scenes.box(1.0), **(meshes or {})}
+    materials = {i: medium if hasattr(medium, "program") else filled(medium) for i, medium in enumerate(media)} | (
+        materials or {})
+    objects = [("box", scenes.place(x=distance * i, scale=1.0 - 0.125 * i), i) for i in range(len(media))]
+    return scenes.delta(meshes, [*objects, *others], materials, lights, background)
+
+
+def shot(delta, samples=4, half=0.5, passes=("Combined",), camera=None, settings=scenes.SETTINGS, size=(8, 8)):
+    """Render what lies below the camera; return the session."""
+    session = Session(settings)
+    session.update(delta)
+    session.configure(settings, camera or scenes.camera_above(half=half), *size, passes=passes)
+    session.step(samples)
+    return session
+
+
+def seen(delta, samples=4, **options):
+    """Return the mean color."""
+    picture = shot(delta, samples, **options).read()[..., :3]
+    assert np.isfinite(picture).all() and picture.min() >= 0.0
+    return picture.mean((0, 1), dtype=np.float64)
+
+
+def test_absorption_is_the_exponential_of_the_way():
+    """Show the world through 2 m of a medium; a second one within adds up, also in another place of the stack."""
+    assert seen(boxes(absorber(0.1, 0.5, 2.0))) == pytest.approx(np.exp([-0.2, -1.0, -4.0]), rel=1e-4)
+    both = boxes(absorber(0.1, 0.5, 2.0), absorber(0.4, 0.0, 0.2))
+    assert seen(both) == pytest.approx(np.exp([-0.2 - 0.7, -1.0, -4.0 - 0.35]), rel=1e-4)
+
+
+def test_cameras_begin_in_the_media_about_them():
+    """Find both of two nested media from within, and neither of those left behind or ahead."""
+    media = absorber(0.1, 0.5, 2.0), absorber(0.4, 0.0, 0.2)
+    camera = scenes.camera_above(height=0.0, half=0.2)
+    assert seen(boxes(*media), camera=camera) == pytest.approx(np.exp([-0.1 - 0.35, -0.5, -2.0 - 0.175]), rel=5e-3)
+    apart = boxes(*media, distance=3.0)
+    assert seen(apart, camera=camera) == pytest.approx(np.exp([-0.1, -0.5, -2.0]), rel=5e-3)
+
+
+def test_emission_grows_with_the_way():
+    """Add what a medium emits, dimmed by itself, also where nothing dims it."""
+    medium = MediumData(extinction=(0.0, 1.0, 3.0), emission=(0.25, 0.5, 0.5))
+    expected = [0.5, 0.5 * (1.0 - np.exp(-2.0)), 0.5 * (1.0 - np.exp(-6.0)) / 3.0]
+    assert seen(boxes(medium, background=0.0)) == pytest.approx(expected, rel=1e-4)
+
+
+def test_glass_has_the_colour_of_what_is_in_it():
+    """Absorb within a refracting body, which rays enter and leave by their side of its surface."""
+    clear = scenes.material("GLASS", color=1.0, ior=1.0001)
+    assert seen(boxes(filled(absorber(0.1, 0.5, 2.0), clear)), 16) == pytest.approx(
+        np.exp([-0.2, -1.0, -4.0]), rel=0.01)
+
+
+def test_shadow_rays_are_dimmed():
+    """Light a floor through a box: 2 m of its medium are in the way, and in that of the camera."""
+    floor = ("floor", scenes.place(z=-1.5), "white")
+    sun = scenes.lamp("SUN", 1.0)
+    more = {"others": [floor], "materials": {"white": scenes.material(color=0.8)},
+            "meshes": {"floor": scenes.quad(3.0)}, "lights": [sun], "background": 0.0}
+    # Light that the floor returns leaves the scene: no other comes back.
+    expected = seen(boxes(absorber(0.0, 0.0, 0.0), **more)) * np.exp([-0.4, -2.0, -4.0])
+    assert expected.min() > 1e-3
+    assert seen(boxes(absorber(0.1, 0.5, 1.0), **more)) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("anisotropy", [-0.9, 0.0, 0.8, 1.0])
+def test_what_scatters_all_is_not_seen_in_an_even_world(anisotropy):
+    """Return all light where nothing is absorbed: white clouds in a white room are white."""
+    assert seen(boxes(cloud(3.0, anisotropy)), 128) == pytest.approx([1.0] * 3, rel=0.01)
+
+
+def test_scattering_once_is_the_integral():
+    """Scatter a sun's light in a thin medium: its depth times the phase function, which prefers straight on."""
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    density, irradiance, found = 1e-3, 50.0, []
+    for transform in (np.eye(4), turned):
+        sun = scenes.lamp("SUN", irradiance, transform)
+        found.append(seen(boxes(cloud(density, 0.5), lights=[sun], background=0.0), 4096, size=(4, 4))[0])
+    # From behind the camera light turns back, from below it goes on into it.
+    back, on = (2.0 * density * irradiance * 0.25 / np.pi * 0.75 / (1.25 - cosine) ** 1.5 for cosine in (-1.0, 1.0))
+    assert found == pytest.approx([back, on], rel=0.05)
+
+
+def test_the_worlds_medium_hides_the_world_and_suns():
+    """Keep an endless medium black where nothing shines in it, and dim what is near by its distance."""
+    def foggy(medium, **more):
+        delta = boxes(**more)
+        return dataclasses.replace(delta, world=dataclasses.replace(delta.world, medium=medium))
+
+    sun = scenes.lamp("SUN", 10.0)
+    assert seen(foggy(absorber(1e-3, 0.1, 0.0), lights=[sun])) == pytest.approx([0.0, 0.0, 1.0])
+    shining = {"others": [("floor", np.eye(4), "light")], "meshes": {"floor": scenes.quad(3.0)},
+               "materials": {"light": scenes.emitter(1.0)}}
+    # The camera is 3 m away.
+    assert seen(foggy(absorber(0.1, 0.5, 0.0), **shining)) == pytest.approx(np.exp([-0.3, -1.5, 0.0]), rel=1e-3)
+
+
+def test_alpha_is_what_media_hide():
+    """Leave a transparent film as much of the world as passes."""
+    film = dataclasses.replace(scenes.SETTINGS.film, transparent=True)
+    settings = dataclasses.replace(scenes.SETTINGS, film=film)
+    picture = shot(boxes(absorber(0.5, 0.5, 0.5)), settings=settings).read()
+    assert picture[..., 3] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("medium", [
+    MediumData(), absorber(1e-30, 0.0, 1e30), cloud(1e-30), cloud(1e30, 0.5), cloud(5.0, 1.0), cloud(5.0, -1.0),
+    cloud(2.0, 0.3, (3.0, 1.0, 0.0)), cloud(2.0, 0.0, (0.0, 1.0, 1.0)), cloud(np.inf), cloud(np.nan),
+    MediumData(emission=(1e30, 0.0, 0.0)), MediumData(extinction=(1e30, 1e-30, 0.0), emission=(1.0, 1.0, 1.0)),
+], ids=str)
+def test_no_input_makes_a_bad_pixel(medium):
+    """Stay finite in boxes, glass, open meshes and worlds."""
+    lamp = scenes.lamp("POINT", 50.0, scenes.place(x=0.3, z=0.2), radius=0.2)
+    glass = filled(medium, scenes.material("GLASS", color=1.0, ior=1.5))
+    open_mesh = scenes.delta({"quad": scenes.quad(0.4)}, [("quad", np.eye(4), "open")], {"open": filled(medium)},
+                             [lamp], 0.5)
+    plain = boxes(lights=[lamp], background=0.5)
+    foggy = dataclasses.replace(plain, world=dataclasses.replace(plain.world, medium=medium))
+    for delta in (boxes(medium, lights=[lamp]), boxes(glass, lights=[lamp]), open_mesh, foggy):
+        seen(delta, 2)
+
+
+def lit_scene(medium, surface=None):
+    """Return a body of a medium on a floor, lamps of two groups and a sky."""
+    lamps = [scenes.lamp("AREA", 30.0, scenes.place(x=0.5, z=2.5), shape="SQUARE", size_x=0.5, light_group="key"),
+             scenes.lamp("POINT", 10.0, scenes.place(x=-1.5, z=1.5), radius=0.1, light_group="fill")]
+    return scenes.delta(
+        {"box": scenes.box(0.5), "floor": scenes.quad(2.0)},
+        [("box", scenes.place(z=0.6), "body"), ("floor", scenes.place(), "floor")],
+        {"body": filled(medium, surface), "floor": scenes.material(color=(0.6, 0.4, 0.3))}, lamps, 0.3)
+
+
+def test_light_passes_leave_media_to_the_picture():
+    """Keep light that a medium scatters first out of surfaces' passes; without scattering passes make the picture."""
+    thin = lit_scene(dataclasses.replace(absorber(0.5, 1.0, 2.0), emission=(0.1, 0.2, 0.3)))
+    session = shot(thin, 4, 0.8, PASSES)
+
+    def sum_of(session):
+        lobes = [session.read(f"{lobe} {part}") * session.read(f"{lobe} Color")
+                 for lobe in ("Diffuse", "Glossy", "Transmission") for part in ("Direct", "Indirect")]
+        return session.read("Emission") + session.read("Environment") + sum(lobes)
+
+    combined = session.read()
+    np.testing.assert_allclose(sum_of(session), combined[..., :3], rtol=2e-5, atol=2e-5)
+    np.testing.assert_array_equal(combined, shot(thin, 4, 0.8).read())
+    # Nothing behind a thick cloud is seen: all light is the medium's.
+    session = shot(lit_scene(cloud(1e4)), 4, 0.3, PASSES)
+    assert session.read()[..., :3].min() > 0.05
+    assert sum_of(session).max() < 1e-5
+
+
+@pytest.mark.parametrize("medium", [cloud(2.0, 0.3), absorber(0.5, 1.0, 2.0)], ids=["scattering", "absorbing"])
+def test_light_groups_make_up_the_picture(medium):
+    """Give light that has gone through media to the group of the lamp that it comes from."""
+    names = ("Combined_key", "Combined_fill")
+    delta = dataclasses.replace(lit_scene(medium), world=scenes.world(0.0))
+    session = shot(delta, 4, 0.8, ("Combined", *names))
+    np.testing.assert_allclose(
+        sum(session.read(name) for name in names), session.read()[..., :3], rtol=2e-5, atol=2e-5)
+    only = dataclasses.replace(delta, lights=delta.lights[:1])
+    key, alone = shot(delta, 64, 0.8, ("Combined", *names)).read(names[0]).mean(), seen(only, 64, half=0.8).mean()
+    assert key == pytest.approx(alone, rel=0.05)
+
+
+def test_other_scenes_pay_nothing(monkeypatch):
+    """Record no kernel and keep nothing of paths without a medium on anything drawn."""
+    def launches(delta):
+        recorded = []
+        real = wavefront.record
+
+        def record(kernel, *args, **named):
+            recorded.append(kernel.key)
+            return real(kernel, *args, **named)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(wavefront, "record", record)
+            return recorded, shot(delta, 1)
+
+    recorded, session = launches(boxes(cloud(1.0)))
+    assert MEDIA_KERNELS - {"start_media"} <= set(recorded)
+    assert not {"shade_misses", "weaken_shadow_rays"} & set(recorded)
+    plain = boxes(scenes.transparent(1.0))
+    unused = dataclasses.replace(plain, materials=plain.materials | {"other": filled(cloud(1.0))})
+    empty = boxes(filled(MediumData()))
+    for delta in (plain, unused, empty):
+        recorded, session = launches(delta)
+        assert recorded and not MEDIA_KERNELS & set(recorded)
+        assert session._scene.media is None and all(slot.media is None for slot in session._pass.slots)
