@@ -22,7 +22,7 @@ from .lamps import lamp_power
 from .light_linking import is_linked, same_links
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
-from .media import Media, scene_media
+from .media import SceneMedia, scene_media
 from .opacity_maps import OpacityMaps
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
@@ -103,7 +103,7 @@ class DeviceScene:
         self.tables = albedo_tables(device)
         self.names: tuple[int, int] = (0, 0)
         self.changes = SceneChanges()
-        self.media: Media | None = None
+        self.media: SceneMedia | None = None
         """None where nothing drawn has a medium, nor the world"""
 
     def apply(self, delta: SceneDelta, settings: PerformanceSettings, progress: Progress | None = None) -> None:

@@ -14,7 +14,7 @@ from ..kernels.media import Media, Medium, Phase
 if TYPE_CHECKING:
     from .device_scene import DeviceScene
 
-__all__ = ["MediumData", "PhaseData", "scene_media"]
+__all__ = ["MediumData", "PhaseData", "SceneMedia", "scene_media"]
 
 Color = tuple[float, float, float]
 
@@ -48,8 +48,18 @@ class MediumData:
         return any((*self.extinction, *self.emission))
 
 
-def scene_media(source: DeviceScene) -> Media | None:
-    """Return the media of a scene's world and of what is drawn in it; None without any."""
+@dataclass(frozen=True)
+class SceneMedia:
+    """All media of a scene on the device."""
+
+    struct: Media
+    frames: Media | None
+    """As real-time frames have them, without the world's; None where no object has any"""
+    made_for: tuple
+
+
+def scene_media(source: DeviceScene) -> SceneMedia | None:
+    """Return the media of a scene's world and of what is drawn in it, the same as before if they are; None without."""
     table, world = source.table, source.world.medium if source.world is not None else None
     keys = {key for keys in table.material_sets for key in keys}
     found = {key: data.medium for key in keys if (data := source.materials.get(key)) is not None and data.medium}
@@ -57,26 +67,45 @@ def scene_media(source: DeviceScene) -> Media | None:
     drawn = source.drawn & filled[table.material_set_index] if len(source.drawn) else np.zeros(0, bool)
     if not drawn.any() and not world:
         return None
-    rows = np.full(len(source.material_table.indices), -1, np.int32)
-    records, phases = [], []
-
-    def add(medium: MediumData) -> int:
-        records.append((medium, len(phases)))
-        phases.extend(medium.phases)
-        return len(records) - 1
-
-    for key, medium in found.items():
-        rows[source.material_table.index(key)] = add(medium)
-    media = Media()
-    media.world = add(world) if world else -1
     low, high = (bounds[drawn] for bounds in (source.low, source.high))
     # Nothing is between bounds the wrong way round.
-    media.low = wp.vec3(*low.min(0)) if len(low) else wp.vec3(1.0, 1.0, 1.0)
-    media.high = wp.vec3(*high.max(0)) if len(low) else wp.vec3(-1.0, -1.0, -1.0)
-    media.of_material = wp.array(rows, dtype=int, device=source.device)
-    media.media = _rows(Medium, [(m.extinction, m.emission, first, len(m.phases)) for m, first in records],
-                        source.device)
-    media.phases = _rows(Phase, [(p.scattering, p.anisotropy) for p in phases], source.device)
+    bounds = (tuple(low.min(0)), tuple(high.max(0))) if len(low) else ((1.0,) * 3, (-1.0,) * 3)
+    places = {source.material_table.index(key): medium for key, medium in found.items()}
+    made_for = places, world, len(source.material_table.indices)
+    before = source.media
+    if before is not None and before.made_for == made_for:
+        media, frames = _copy(before.struct), before.frames
+    else:
+        media, frames = _upload(places, world or None, len(source.material_table.indices), source.device), None
+    media.low, media.high = (wp.vec3(*bound) for bound in bounds)
+    if len(low) and frames is None:
+        frames = _copy(media)
+        frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
+    return SceneMedia(media, frames if len(low) else None, made_for)
+
+
+def _copy(media: Media) -> Media:
+    """Return another struct of the same arrays."""
+    copied = Media()
+    for name in Media.vars:
+        setattr(copied, name, getattr(media, name))
+    return copied
+
+
+def _upload(places: dict[int, MediumData], world: MediumData | None, materials: int, device: str) -> Media:
+    """Return media by material and that of the world, on the device; without bounds."""
+    rows = np.full(materials, -1, np.int32)
+    records, phases = [], []
+    for place, medium in [*places.items(), *([(None, world)] if world else [])]:
+        if place is not None:
+            rows[place] = len(records)
+        records.append((medium.extinction, medium.emission, len(phases), len(medium.phases)))
+        phases.extend(medium.phases)
+    media = Media()
+    media.world = len(records) - 1 if world else -1
+    media.of_material = wp.array(rows, dtype=int, device=device)
+    media.media = _rows(Medium, records, device)
+    media.phases = _rows(Phase, [(each.scattering, each.anisotropy) for each in phases], device)
     return media
 
 

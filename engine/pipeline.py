@@ -193,7 +193,8 @@ class Pipeline:
         facts = (scene.structures.has_filtered, shines_plainly(scene.scene, scene.emitters), scene.has_hit_programs,
                  scene.world_texels.ptr, scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
                  scene.material_table.lean, scene.material_table.reflectors)
-        structs = (scene.scene, motion, self.split)
+        structs = [scene.scene, motion, self.split]
+        structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
 
     def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
@@ -325,7 +326,8 @@ class Pipeline:
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
-            self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy)
+            self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy,
+            scene.media and scene.media.frames)
         self._note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()
         for each in traced + gathering:

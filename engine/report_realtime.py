@@ -97,7 +97,8 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering is drawn as diffuse reflection{until}",
                    facts.scattering)
     if facts.media:
-        report.add(ReportKind.APPROXIMATED, "", f"volumes are left out{until}", facts.media)
+        report.add(ReportKind.APPROXIMATED, "",
+                   f"volumes but for what they absorb and emit in glass are left out{until}", facts.media)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",

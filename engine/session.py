@@ -238,7 +238,7 @@ class Session:
 
     def _trace(self, target: int, stop: Callable[[], bool]) -> None:
         self._film.light.prepare(self._scene)
-        self._pass.media = self._scene.media
+        self._pass.media = self._scene.media and self._scene.media.struct
         self._pass.render(
             self._scene.scene, self._frame, self._options(self._film.passes), self._filter, self._film, target, stop)
 

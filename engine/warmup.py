@@ -103,6 +103,7 @@ from ..kernels import (
     reflection_lamps,
     reflection_lean,
     reflection_materials,
+    reflection_media,
     reflection_place,
     reflection_probes,
     reflection_refract,
@@ -152,6 +153,7 @@ KERNEL_MODULES = (
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
     subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
     reference_subsurface, first_hits, media_march, media_scatter, media_shadows,
+    reflection_media,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -8,8 +8,6 @@ reads the cache there and asks the probes about rougher surfaces. Denoising is a
 
 from __future__ import annotations
 
-import dataclasses
-
 import warp as wp
 
 from ...kernels import (
@@ -37,23 +35,19 @@ from ...kernels import (
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
-from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
-from ...kernels.motion import Motion
 from ...kernels.paths import Paths
 from ...kernels.reflection_rays import GATHERED, REFLECTED, REFRACTED, ReflectionRays
 from ...kernels.reflection_types import (
     LOBE_DIFFUSE,
     LOBE_REFLECTION,
     LOBE_TRANSMISSION,
-    ReflectionOptions,
     ReflectionSamples,
 )
-from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
-from ..settings import ReflectionResolution, ReflectionSettings
+from ..settings import ReflectionSettings
 from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
@@ -68,11 +62,11 @@ from .cache_buffers import (
     record_sums,
 )
 from .layer_rays import record_hits, record_layers
+from .ray_media import RayMedia, last_of
+from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
 
-__all__ = ["RayScene", "ReflectionPass", "reflection_options"]
-
-STRIDES = {ReflectionResolution.FULL: 1, ReflectionResolution.HALF: 2, ReflectionResolution.QUARTER: 4}
+__all__ = ["STRIDES", "RayScene", "ReflectionPass", "reflection_options"]
 
 SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
 
@@ -104,54 +98,6 @@ DEBUG_CHANNELS = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class RayScene:
-    """What a record needs to know of the scene, besides its arrays."""
-
-    scene: Scene
-    split: EnvironmentSplit
-    motion: Motion
-    world: wp.array
-    """Its radiance by texels, where it is known (DeviceScene.world_texels)"""
-    filtered: bool = True
-    """Whether there are triangles that need a test per hit (Structures.has_filtered)"""
-    programs: bool = True
-    """Whether lights may be programs (DeviceScene.has_hit_programs)"""
-    all_plain: bool = False
-    """Whether the lean node machine runs all materials, glass included (MaterialTable.lean)"""
-    lean_layers: bool = False
-    """Whether it runs all transparency programs"""
-    mirrors: bool = True
-    """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
-    scatters: bool = False
-    """Whether any is translucent: sends those on that come from another one"""
-    deterministic: bool = False
-    """Whether frames shall be the same in every run"""
-    settled: bool = False
-    """Whether cells take the light of the rays' hits in the frame after (RadianceCachePass.is_settled)"""
-    glossy: bool = False
-    """Whether any material shows highlights (Reflectors.glossy)"""
-
-    @property
-    def needs_full(self) -> bool:
-        """Whether anything takes the full node machine."""
-        return not self.all_plain or self.scene.environment.constant == 0
-
-
-def reflection_options(
-    settings: ReflectionSettings, width: int, height: int, lobe: int = int(LOBE_REFLECTION),
-) -> ReflectionOptions:
-    """Return the kernels' options for settings and a size [px]."""
-    options = ReflectionOptions()
-    stride = STRIDES[settings.resolution]
-    options.width, options.height, options.stride = width, height, stride
-    options.columns, options.rows = -(-width // stride), -(-height // stride)
-    options.lobe = int(lobe)
-    options.traced, options.diffuse = settings.roughness_traced, settings.roughness_diffuse
-    options.blend = settings.roughness_blend
-    return options
-
-
 class ReflectionPass:
     """Owns a frame's samples of one lobe and the rays that find them."""
 
@@ -179,6 +125,7 @@ class ReflectionPass:
         self._fill(self.rays, {"source": wp.uint8, "flag": int, "rank": int}, self.blocks)
         self._room: tuple | None = None
         self._gbuffer: dict[int, GBuffer] = {}
+        self._media: RayMedia | None = None
 
     def _fit(self, filtered: bool, glossy: bool) -> None:
         """Allocate rays, one for each block."""
@@ -240,8 +187,14 @@ class ReflectionPass:
         segments = 1 + (self.settings.bounces if follows.get(self.lobe, what.mirrors) else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
         waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
+        self._media = None
+        if what.media is not None and self.lobe != int(LOBE_DIFFUSE):
+            # So do media, and segments that are for glass alone.
+            self._media = RayMedia(what.media, scene, blocks, self.device)
+            self._media.record_start(graph, views, options, gbuffer, self.samples, rays, paths)
+            waves = segments + int(reflection_chain.GLASS_FACTOR) * (segments - 1)
         for index in range(waves):
-            self._record_segment(graph, what, index, last=index == segments - 1)
+            self._record_segment(graph, what, index, last=last_of(index + 1, segments, self._media is not None))
         if waves < segments:
             self._record_ends(graph, what, segments)
         if what.deterministic:
@@ -269,13 +222,13 @@ class ReflectionPass:
                 graph.launch(
                     gather_further.follow_near_hits, self.blocks, [views, grid, surfaces],
                     [self.rays, self.paths, self.vertices])
-            self._record_segment(graph, what, surfaces, last=True)
+            self._record_segment(graph, what, surfaces, last=int(reflection_chain.LAST))
 
     def _section(self, part: str) -> str:
         return f"{self.title} {part}"
 
-    def _record_segment(self, graph: FrameGraph, what: RayScene, index: int, *, last: bool) -> None:
-        """Record one segment of all rays under way: what it meets, and how it goes on."""
+    def _record_segment(self, graph: FrameGraph, what: RayScene, index: int, *, last: int) -> None:
+        """Record one segment of all rays under way: what it meets, and how it goes on; `last`: 0 or LAST*."""
         scene, blocks, paths, vertices, rays = what.scene, self.blocks, self.paths, self.vertices, self.rays
         work = self.all
         with graph.section(self._section("rays")):
@@ -290,7 +243,9 @@ class ReflectionPass:
             if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
                 graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
         with graph.section(self._section("materials")):
-            arguments = [self.reflection, int(reflection_chain.LAST) if last else 0]
+            arguments = [self.reflection, last]
+            if self._media is not None:
+                self._media.record_dimming(graph, paths, vertices, work)
             graph.launch_listed(
                 reflection_lean.follow_lean, [scene, what.split, what.world, *arguments], work,
                 [rays, paths, vertices])
@@ -301,6 +256,8 @@ class ReflectionPass:
                 graph.launch_listed(
                     reflection_materials.follow_full, [scene, what.split, *arguments, 0, 0], work,
                     [rays, paths, vertices], few=True)
+            if self._media is not None:
+                self._media.record_crossing(graph, paths, self.all if index == 0 else self.living)
 
     def _record_further(self, graph: FrameGraph, what: RayScene) -> None:
         """Record finding what further segments of the rays under way meet."""

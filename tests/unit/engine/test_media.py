@@ -11,6 +11,7 @@ from burnish.engine.media import MediumData, PhaseData
 from burnish.engine.passes import wavefront
 from burnish.engine.passes.composite import LIGHT_PASSES
 from burnish.engine.session import Session
+from burnish.engine.settings import Integrator
 
 from tests import scenes
 
@@ -224,3 +225,62 @@ def test_other_scenes_pay_nothing(monkeypatch):
         recorded, session = launches(delta)
         assert recorded and not MEDIA_KERNELS & set(recorded)
         assert session._scene.media is None and all(slot.media is None for slot in session._pass.slots)
+
+
+def frames_of(delta, count=8, half=0.7):
+    """Draw real-time frames of what lies below the camera; return the session."""
+    sampling = dataclasses.replace(scenes.SETTINGS.sampling, integrator=Integrator.REALTIME)
+    settings = dataclasses.replace(scenes.SETTINGS, sampling=sampling)
+    return shot(delta, count, half, camera=scenes.camera_above(half=half), settings=settings, size=(32, 32))
+
+
+def drink(medium):
+    """Return a ball of glass with a medium in it, and one of another within, in an even world."""
+    glass = scenes.material("GLASS", color=1.0, ior=1.3)
+    return scenes.delta(
+        {"ball": scenes.sphere(1.0, 24)},
+        [("ball", np.eye(4), "outer"), ("ball", scenes.place(z=0.1, scale=0.4), "inner")],
+        {"outer": filled(medium, glass), "inner": filled(absorber(0.0, 1.0, 0.0), glass)}, background=1.0)
+
+
+def test_frames_have_the_colour_of_what_is_in_glass():
+    """Show a drink, and what is in it, in the first frames as path tracing does; no medium there would be white."""
+    medium = dataclasses.replace(absorber(0.2, 0.5, 2.0), emission=(0.3, 0.0, 0.0))
+    frames = frames_of(drink(medium)).read()[..., :3].mean((0, 1), dtype=np.float64)
+    truth = seen(drink(medium), 64, half=0.7, size=(32, 32))
+    assert truth[1] < 0.75 and truth[2] < 0.25
+    assert frames == pytest.approx(truth, rel=0.04, abs=0.01)
+
+
+def test_boundaries_are_clear_in_frames():
+    """Draw nothing of a mesh that has a volume alone."""
+    delta = boxes(cloud(3.0), background=0.7)
+    picture = frames_of(delta, 4).read()[..., :3]
+    np.testing.assert_allclose(picture, 0.7, rtol=1e-3)
+
+
+def test_other_frames_launch_nothing_for_media():
+    """Leave rays of scenes without media to the kernels that they had, also where the world alone has one."""
+    kernels = {"start_in_media", "dim_segments", "cross_boundaries"}
+    glass = scenes.material("GLASS", color=1.0, ior=1.3)
+    ball = scenes.delta({"ball": scenes.sphere(1.0, 24)}, [("ball", np.eye(4), "glass")], {"glass": glass},
+                        background=1.0)
+    foggy = dataclasses.replace(ball, world=dataclasses.replace(ball.world, medium=cloud(0.1)))
+    plain, filled_ball = frames_of(ball, 1), frames_of(drink(absorber(1.0, 1.0, 1.0)), 1)
+    assert kernels <= {kernel for _, kernel in filled_ball.pipeline.launches()}
+    expected = plain.pipeline.launches()
+    assert not kernels & {kernel for _, kernel in expected}
+    assert frames_of(foggy, 1).pipeline.launches() == expected
+
+
+def test_media_follow_moved_objects():
+    """Find the camera in a body that has been moved about it, and not where the body was."""
+    delta = boxes(absorber(0.5, 0.5, 0.5), distance=0.0)
+    away, home = (dataclasses.replace(
+        delta, full=False, meshes={}, materials={}, lights=None, world=None,
+        instances=dataclasses.replace(delta.instances, transforms=scenes.place(x=x)[None])) for x in (5.0, 0.0))
+    session = shot(delta, 1, camera=scenes.camera_above(height=0.0, half=0.2))
+    for moved, expected in ((away, 1.0), (home, np.exp(-0.5)), (away, 1.0), (home, np.exp(-0.5))):
+        session.update(moved)
+        session.step(2)
+        assert session.read()[..., :3].mean() == pytest.approx(expected, rel=5e-3)
