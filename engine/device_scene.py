@@ -23,11 +23,12 @@ from .light_linking import is_linked, same_links
 from .light_table import SUN, build_lights
 from .materials import MaterialTable, default_material, materials_in_use
 from .media import SceneMedia, scene_media
+from .object_properties import ObjectProperties
 from .opacity_maps import OpacityMaps
 from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
 from .settings import PerformanceSettings
-from .staging import RowWriter
+from .staging import RowWriter, overwrite
 from .structures import InstancePlan, Structures
 from .tables import albedo_tables, film_table
 from .textures import TextureStore
@@ -70,6 +71,7 @@ class DeviceScene:
         self.textures = TextureStore(device)
         self.opacity_maps = OpacityMaps(device)
         self.material_table = MaterialTable(device)
+        self.properties = ObjectProperties(device)
         self.materials: dict[Key, MaterialData] = {}
         self.table: InstanceTable | None = None
         self.plan: InstancePlan | None = None
@@ -255,12 +257,13 @@ class DeviceScene:
         self.materials.update(delta.materials)
         self.materials.setdefault(None, default_material())
         names = (len(self.store.uv_names), len(self.store.attribute_names))
-        changed = bool(delta.materials or delta.images) or delta.full or delta.world is not None or names != self.names
+        said = self.properties.update(self.table.property_names, self.table.properties)
+        changed = said or bool(delta.materials or delta.images or delta.full or delta.world or names != self.names)
         if changed:
             self.names = names
             self.material_table.build(
                 self.materials, None if self.world is None else self.world.program, self.textures.index,
-                self.store.uv_id, self.store.attribute_id, tuple(self.origin),
+                self.store.uv_id, self.properties.resolver(self.store.attribute_id), tuple(self.origin),
                 None if self.world is None else self.world.aovs)
         return changed
 
@@ -320,22 +323,14 @@ class DeviceScene:
             any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
             for keys in table.material_sets], bool)
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
-        self.instance_materials = self._overwrite(
-            self.instance_materials, np.array(flat or [0], np.int32), wp.int32)
+        self.instance_materials = overwrite(self.instance_materials, np.array(flat or [0], np.int32))
         if old is None or len(old.group_index) != len(group_index):
             return True
         return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
 
-    def _overwrite(self, array: wp.array, values: np.ndarray, dtype: type) -> wp.array:
-        """Put values on the device, into the same array if they fit: recorded frames go on using it."""
-        if len(array) == len(values):
-            array.assign(values)
-            return array
-        return wp.array(values, dtype=dtype, device=self.device)
-
     def _write_instances(self) -> None:
         if len(self.rows):
-            self.instances = self._overwrite(self.instances, self.rows, types.Instance)
+            self.instances = overwrite(self.instances, self.rows)
 
     def _upload_instances(self) -> None:
         self.structures.fill(self.rows, self.plan, self.store)
@@ -380,6 +375,7 @@ class DeviceScene:
         scene.geometry = geometry
         materials = self.material_table.struct()
         materials.instance_materials = self.instance_materials
+        self.properties.write(materials)
         scene.materials = materials
         scene.textures = self.textures.struct()
         scene.tables = self.tables

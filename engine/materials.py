@@ -24,6 +24,7 @@ from ..kernels.types import (
     Materials,
 )
 from .lean import LeanPrograms, has_film, is_lean, is_lean_transparency
+from .object_properties import PROPERTY_PREFIX
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
 from .reflectors import Reflectors, find_reflectors
@@ -78,10 +79,10 @@ def materials_in_use(table: InstanceTable, used_slots: list[np.ndarray], drawn: 
 def attribute_names(programs: Iterable[Program]) -> list[str]:
     """Return all attributes that the programs read, sorted; the empty name is the active colour attribute.
 
-    Tangents (program.tangent_attribute) are not among them: they are optional.
+    Tangents (program.tangent_attribute) are not among them, which are optional, nor are properties of objects.
     """
-    return sorted({
-        name for program in programs for name in program.attributes if not name.startswith(TANGENT_PREFIX)})
+    others = (TANGENT_PREFIX, PROPERTY_PREFIX)
+    return sorted({name for program in programs for name in program.attributes if not name.startswith(others)})
 
 
 class MaterialTable:
@@ -139,7 +140,7 @@ class MaterialTable:
             world: The world's program, None for black.
             image_index: Returns the texture of an image key.
             uv_map_index: Returns the id of a UV map's name (columns of Geometry.uv_offsets), -1 where no mesh has it.
-            attribute_index: The same for attributes.
+            attribute_index: The same for attributes, and for properties of objects.
             origin: What the host subtracted from all world coordinates.
             world_aovs: Shader AOVs of the world.
         """
@@ -344,14 +345,14 @@ class _Table:
         if kind == codes.INPUT_TANGENT_UV:
             uv_map = self.uv_map_index(program.uv_maps[words[1]])
             return head, words[0], uv_map, self.attribute_index(program.attributes[words[2]])
-        if kind not in (codes.INPUT_UV, codes.INPUT_ATTRIBUTE):
+        if kind not in (codes.INPUT_UV, codes.INPUT_ATTRIBUTE, codes.INPUT_PROPERTY):
             return head, *words
         if kind == codes.INPUT_UV:
             index = self.uv_map_index(program.uv_maps[words[1]])
         else:
             name = program.attributes[words[1]]
             index = self.attribute_index(name)
-            if index < 0 and name and self.uv_map_index(name) >= 0:
+            if index < 0 and name and kind == codes.INPUT_ATTRIBUTE and self.uv_map_index(name) >= 0:
                 # Blender lets attribute nodes name UV maps.
                 index = self.uv_map_index(name)
                 head = head - (codes.INPUT_ATTRIBUTE << 16) + (codes.INPUT_UV << 16)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
 from .closure_arguments import ARGUMENTS, closure_code, slot_count
+from .object_properties import property_name
 from .program_fold import fold
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, flat_sinks, lay_out
 
@@ -26,6 +27,9 @@ SHIFTED_INPUTS = {
     codes.INPUT_OBJECT_NORMAL, codes.INPUT_PARAMETRIC,
 }
 """Inputs that change from point to point of a surface, as far as bump mapping is concerned"""
+
+CARRY_ALPHA = {codes.INPUT_ATTRIBUTE, codes.INPUT_OBJECT_COLOR, codes.INPUT_PROPERTY}
+"""Inputs whose w is alpha"""
 
 TANGENT_PREFIX = ".tangent:"
 
@@ -145,7 +149,7 @@ class ProgramBuilder:
         """Return xyz with w cleared: for colours (whose w is alpha) used as coordinates (whose w is a width)."""
         value = self.constant(value)
         carries_alpha = value.op == codes.OP_IMAGE or value.op == codes.OP_RAMP or (
-            value.op == codes.OP_INPUT and value.sub & 255 in (codes.INPUT_ATTRIBUTE, codes.INPUT_OBJECT_COLOR))
+            value.op == codes.OP_INPUT and value.sub & 255 in CARRY_ALPHA)
         return self.vector("XYZ", value) if carries_alpha else value
 
     def mix(self, name: str, factor, a, b) -> Value:
@@ -182,6 +186,11 @@ class ProgramBuilder:
     def attribute(self, name: str) -> Value:
         """Return an attribute: colour or vector in xyz, alpha in w."""
         return self._add(codes.OP_INPUT, codes.INPUT_ATTRIBUTE, (0.0,), (index_of(self.attributes, name), 0))
+
+    def object_property(self, name: str, *, instancer: bool = False) -> Value:
+        """Return a property of the object, or of what made an instance of it: as `attribute`."""
+        number = index_of(self.attributes, property_name(name, instancer=instancer))
+        return self._add(codes.OP_INPUT, codes.INPUT_PROPERTY, (0.0,), (number, 0))
 
     def uv_tangent(self, uv_map: str, tangent_attribute: str) -> Value:
         """Return the world-space tangent along u of a UV map."""

@@ -104,6 +104,10 @@ class InstanceTable:
     """int32 [N], number of the set of receivers that what an instance emits is for, 0: everything (light_linking.py)"""
     receives: np.ndarray | None = None
     """uint32 [N], bit k for the lights of set k, and bit 0; None: all lights"""
+    property_names: tuple[str, ...] = ()
+    """P names of objects' properties that programs read (object_properties.py)"""
+    properties: np.ndarray | None = None
+    """float32 [P, N, 4], their values; None without any"""
 
     def moved_from(self, other: InstanceTable) -> bool:
         """Return whether this is the other table with nothing but other transforms, by its very arrays and lists."""

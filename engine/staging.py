@@ -14,7 +14,7 @@ import weakref
 import numpy as np
 import warp as wp
 
-__all__ = ["PictureInbox", "PicturePages", "RowWriter", "StagedRow"]
+__all__ = ["PictureInbox", "PicturePages", "RowWriter", "StagedRow", "overwrite"]
 
 AHEAD = 2
 """Frames that may be on their way while the host writes the next one"""
@@ -150,3 +150,11 @@ class PicturePages:
 
 def _alike(page: wp.array, picture: wp.array) -> bool:
     return (page.shape, page.dtype, page.pinned) == (picture.shape, picture.dtype, picture.device.is_cuda)
+
+
+def overwrite(array: wp.array, values: np.ndarray) -> wp.array:
+    """Put values on the device, into the same array if they fit: recorded frames go on using it."""
+    if len(array) == len(values):
+        array.assign(values)
+        return array
+    return wp.array(values, dtype=array.dtype, device=array.device)

@@ -219,6 +219,8 @@ INPUT_RAY_LENGTH = wp.constant(23)
 INPUT_RAY_DEPTH = wp.constant(24)
 INPUT_SCENE_POSITION = wp.constant(25)
 """Position relative to the scene's origin"""
+INPUT_PROPERTY = wp.constant(26)
+"""A property of the object or its instancer (engine/object_properties.py)"""
 INPUT_SHIFT_X = wp.constant(1 << 8)
 INPUT_SHIFT_Y = wp.constant(2 << 8)
 

@@ -227,6 +227,14 @@ def object_input(scene: Scene, point: ShadingPoint, instance: Instance, kind: in
 
 
 @wp.func
+def property_value(scene: Scene, instance: int, number: int) -> wp.vec4:
+    """Return a property of an instance's object, 0 without an instance."""
+    if instance < 0:
+        return wp.vec4(0.0)
+    return scene.materials.properties[number * scene.geometry.instances.shape[0] + instance]
+
+
+@wp.func
 def ray_input(point: ShadingPoint, kind: int, mask: int) -> wp.vec4:
     """Return what the Light Path node tells about the ray that arrived."""
     x = float(0.0)
@@ -248,12 +256,14 @@ def input_value(scene: Scene, hit: ShadingPoint, sub: int, bump_width: float, fi
         hit: The shading point.
         sub: Kind in the low byte, bump offset in bits 8-9.
         bump_width: Length of the bump offset in footprints.
-        first: UV map, attribute or mask of ray kinds.
+        first: UV map, attribute, property or mask of ray kinds.
         second: Tangent attribute or -1.
     """
     kind = sub & 255
     if kind == codes.INPUT_SCENE_POSITION:
         return wp.vec4(hit.position[0], hit.position[1], hit.position[2], 0.0)
+    if kind == codes.INPUT_PROPERTY:
+        return property_value(scene, hit.instance, first)
     if kind >= codes.INPUT_RAY_KIND:
         return ray_input(hit, kind, first)
     if hit.instance < 0:

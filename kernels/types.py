@@ -179,6 +179,8 @@ class Materials:
     materials: wp.array[Material]
     instance_materials: wp.array[int]
     """Material per (instance.material_offset + slot)"""
+    properties: wp.array[wp.vec4]
+    """Properties of objects that programs read, of all instances one after another"""
     code: wp.array[wp.vec4i]
     """Instructions, see nodes.py"""
     constants: wp.array[wp.vec4]

@@ -9,20 +9,22 @@ extraction and must not be kept.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
+from ...engine.object_properties import split_name
 from ...engine.report import Report, ReportKind
 from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
 from .linking import Linking, links_of
+from .object_hash import object_random_id
+from .properties import property_columns, property_of
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
-           "look_of", "object_random_id", "placeable", "read_transforms"]
+           "look_of", "placeable", "read_transforms"]
 
 _CANCEL_INTERVAL = 4096
 _UNUSED_PERSISTENT_ID = 0x7FFFFFFF
@@ -92,6 +94,10 @@ class Placement:
     parent_uid: int | None
     """session_uid of the instancer, None for the object itself"""
     visibility: int
+    parent: bpy.types.Object | None
+    """The instancer"""
+    particles: bpy.types.ParticleSettings | None
+    """Of the particle system that made the instances, of the first one where several did"""
 
 
 @dataclass(eq=False)
@@ -167,8 +173,9 @@ def kept_rows(gathered: Gathered, mesh_keys: list[Hashable | None], report: Repo
     return of_mesh, of_mesh & near & good
 
 
-def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.ndarray) -> InstanceTable:
-    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names."""
+def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.ndarray,
+                properties: tuple[str, ...] = ()) -> InstanceTable:
+    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names, with objects' properties."""
     placements, sources, source_of = gathered.placements, gathered.sources, gathered.source_of
     rows = gathered.rows[keep]
     by_source = source_of[rows]
@@ -193,26 +200,8 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.n
         light_groups=groups,
         light_group_index=group_index[by_source],
         **gathered.linking.columns(sources, placements, rows),
+        **property_columns(properties, placements, sources, rows, gathered.persistent_ids[keep]),
     )
-
-
-@functools.lru_cache(maxsize=1 << 16)
-def object_random_id(name: str) -> int:
-    """Return Object Info's random id of an object that isn't instanced: Cycles' hash of its name (util/hash.h)."""
-    mask = 0xFFFFFFFF
-    text = 0
-    for byte in name.encode():
-        text = (text * 37 + byte) & mask
-    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & mask
-    a = (a + text) & mask
-    # The last step of Bob Jenkins' lookup3.
-    for left, right, bits in ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24)):
-        state = [a, b, c]
-        other = state[right]
-        rotated = ((other << bits) | (other >> (32 - bits))) & mask
-        state[left] = ((state[left] ^ other) - rotated) & mask
-        a, b, c = state
-    return c
 
 
 class _Walk:
@@ -241,8 +230,12 @@ class _Walk:
         if not visibility & _ALL_RAYS:
             return -1
         source = self._source(owner, item)
-        parent_uid = parent.original.session_uid if instance.is_instance else None
-        self.gathered.placements.append(Placement(source, parent_uid, visibility))
+        placement = Placement(source, None, visibility, None, None)
+        if instance.is_instance:
+            system = instance.particle_system
+            placement.parent_uid, placement.parent = parent.original.session_uid, parent
+            placement.particles = None if system is None else system.settings
+        self.gathered.placements.append(placement)
         return len(self.gathered.placements) - 1
 
     def _is_drawn(self, item: bpy.types.Object) -> bool:
@@ -308,13 +301,14 @@ class _Walk:
         return key
 
 
-def look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> tuple:
+def look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer, properties: tuple[str, ...]) -> tuple:
     """Return all that a walk reads of an evaluated object but its place."""
     return (
         item.name, _uppermost(item).name, item.type, 0 if item.data is None else item.data.as_pointer(),
         item.hide_viewport, item.instance_type, item.show_instancer_for_viewport, len(item.particle_systems),
         _ray_visibility(item), item.holdout_get(view_layer=view_layer), item.indirect_only_get(view_layer=view_layer),
         item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup, links_of(item),
+        tuple(property_of((item,), split_name(name)[0]) for name in properties),
         tuple(0 if slot.material is None else slot.material.original.session_uid for slot in item.material_slots))
 
 

@@ -8,6 +8,7 @@ raises for what a tree contains: what isn't drawn is named in the report. Main t
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import bpy
 import numpy as np
@@ -18,11 +19,13 @@ from ...engine.report import Report, ReportKind
 from ...engine.scene import MaterialData, MistData, Visibility, WorldData
 from ...engine.sky.image import TO_REC709
 from . import node_ies, node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
-from .node_graph import Graph
+from .node_graph import Graph, no_property
 from .node_shaders import add_shader
 from .volume import read_medium
 
 __all__ = ["extract_light_shader", "extract_material", "extract_world", "from_xyz"]
+
+Layer = Callable[[str], tuple[float, ...]]
 
 MIST_FALLOFF = {'QUADRATIC': 2.0, 'LINEAR': 1.0, 'INVERSE_QUADRATIC': 0.5}
 RESOLUTION_SMOOTH = 256
@@ -44,10 +47,10 @@ def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
-def make_graph(tree, images, report: Report, owner: str, *, world: bool = False, lamp: bool = False,
-               builder: ProgramBuilder | None = None) -> Graph:
-    """Return a graph over an inlined tree, ready to compile in the file's working space."""
-    graph = Graph(tree, builder or ProgramBuilder(), images, report, owner, world=world, lamp=lamp)
+def make_graph(tree, images, report: Report, owner: str, *, builder: ProgramBuilder | None = None,
+               **options) -> Graph:
+    """Return a graph over an inlined tree, ready to compile in the file's working space; options as a Graph has them."""
+    graph = Graph(tree, builder or ProgramBuilder(), images, report, owner, **options)
     space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
     graph.from_rec709 = FROM_REC709.get(space)
     return graph
@@ -58,8 +61,7 @@ def output_node(tree):
     return tree.get_output_node('CYCLES')
 
 
-def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str, *, world: bool = False,
-                 ) -> dict[str, Program]:
+def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str, **options) -> dict[str, Program]:
     """Compile what the AOV Output nodes of an inlined tree say, by the engine's names of the passes."""
     programs = {}
     for source in aovs:
@@ -68,7 +70,7 @@ def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str
         if not nodes:
             continue
         said = Report()
-        graph = make_graph(tree, images, said, owner, world=world)
+        graph = make_graph(tree, images, said, owner, **options)
         try:
             for node in nodes:
                 graph.builder.emit(graph.value(node, "Color" if source.startswith(COLOR_AOV) else "Value"), 1.0, 1.0)
@@ -82,7 +84,7 @@ def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str
 
 
 def extract_material(material: bpy.types.Material, images, report: Report, aovs: tuple[str, ...] = (),
-                     ) -> MaterialData:
+                     layer: Layer = no_property) -> MaterialData:
     """Compile a material.
 
     Args:
@@ -90,6 +92,7 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         images: ImageCollector: `key(image, image_user)` names an image and records its data.
         report: Receives what is approximated or left out.
         aovs: Passes of shader AOVs, from passes.aov_source.
+        layer: Returns a property of the view layer.
     """
     owner = f"material '{material.name}'"
     data = MaterialData(name=material.name, program=Program(), pass_index=material.pass_index)
@@ -102,18 +105,19 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         return data
     # The tree dies with its wrapper: the variable keeps it alive.
     inlined = bpy.types.InlineShaderNodes.from_material(material)
-    graph = make_graph(inlined.node_tree, images, report, owner)
+    graph = make_graph(inlined.node_tree, images, report, owner, layer=layer)
     try:
         output = output_node(inlined.node_tree)
         compile_surface(graph, material, output)
-        data.medium = read_medium(make_graph, inlined.node_tree, output, report, owner)
+        data.medium = read_medium(
+            functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
         data.program = graph.builder.finish()
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
         graph.builder = ProgramBuilder()
         graph.builder.closure("DIFFUSE", 1.0, color=tuple(material.diffuse_color)[:3])
         data.program = graph.builder.finish()
-    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner)
+    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, layer=layer)
     data.has_transparency = graph.builder.has_transparency()
     data.has_emission = graph.builder.has_emission()
     data.constant_emission = graph.builder.constant_emission() if data.has_emission else None
@@ -154,7 +158,8 @@ def displacement_normal(graph: Graph, material: bpy.types.Material, output) -> V
     return build.bump(build.math("MULTIPLY", height, graph.value(node, "Scale")), 1.0, 1.0, 0.1)
 
 
-def extract_world(world: bpy.types.World | None, images, report: Report, aovs: tuple[str, ...] = ()) -> WorldData:
+def extract_world(world: bpy.types.World | None, images, report: Report, aovs: tuple[str, ...] = (),
+                  layer: Layer = no_property) -> WorldData:
     """Compile a world; None is black. Arguments as for `extract_material`."""
     if world is None:
         return WorldData(name="", program=Program(), constant=(0.0, 0.0, 0.0), importance_resolution=RESOLUTION_SMOOTH)
@@ -171,7 +176,7 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
         data.program = builder.finish()
         return data
     inlined = bpy.types.InlineShaderNodes.from_world(world)
-    graph = make_graph(inlined.node_tree, images, report, owner, world=True)
+    graph = make_graph(inlined.node_tree, images, report, owner, world=True, layer=layer)
     output = output_node(inlined.node_tree)
     apply_ray_visibility(data, world)
     try:
@@ -186,8 +191,9 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
         graph.builder, data.sun = ProgramBuilder(), None
         graph.builder.emit(tuple(world.color), 1.0, 1.0)
         data.program = graph.builder.finish()
-    data.medium = read_medium(make_graph, inlined.node_tree, output, report, owner)
-    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, world=True)
+    data.medium = read_medium(
+        functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
+    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, world=True, layer=layer)
     data.constant = graph.builder.constant_emission()
     if graph.widths:
         data.importance_resolution = min(max(max(graph.widths), RESOLUTION_MIN), RESOLUTION_MAX)
@@ -215,7 +221,7 @@ def apply_ray_visibility(data: WorldData, world: bpy.types.World) -> None:
 
 
 def extract_light_shader(
-    light: bpy.types.Light, images, report: Report,
+    light: bpy.types.Light, images, report: Report, layer: Layer = no_property,
 ) -> tuple[tuple[float, float, float], Program | None]:
     """Return a lamp's node tree as a constant factor, and a program where it varies; arguments as of extract_material.
 
@@ -225,7 +231,7 @@ def extract_light_shader(
         return WHITE, None
     owner = f"light '{light.name}'"
     inlined = bpy.types.InlineShaderNodes.from_light(light)
-    graph = make_graph(inlined.node_tree, images, report, owner, lamp=True)
+    graph = make_graph(inlined.node_tree, images, report, owner, lamp=True, layer=layer)
     output = output_node(inlined.node_tree)
     source = graph.source(output, "Surface") if output is not None else None
     if source is None:

@@ -14,13 +14,13 @@ from ...engine.report import Report, ReportKind
 from ...engine.sanitize import report_counts, sanitize_mesh
 from ...engine.scene import MeshData
 
-__all__ = ["ATTRIBUTE_LIMIT", "extract_mesh"]
+__all__ = ["ATTRIBUTE_LIMIT", "ATTRIBUTE_TYPES", "extract_mesh", "read_vec4"]
 
 ATTRIBUTE_LIMIT = 16
 """Generic attributes read per mesh; colour attributes always come along"""
 
 # Python property and number of components per attribute type that a shader can read.
-_ATTRIBUTE_TYPES = {
+ATTRIBUTE_TYPES = {
     'FLOAT': ('value', 1),
     'INT': ('value', 1),
     'INT8': ('value', 1),
@@ -166,7 +166,7 @@ def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: 
     chosen = [attribute for attribute in mesh.attributes
               if attribute.name not in _GEOMETRY_NAMES and attribute.name not in uv_names
               and not attribute.name.startswith('.') and attribute.domain in gather.sizes
-              and attribute.data_type in _ATTRIBUTE_TYPES]
+              and attribute.data_type in ATTRIBUTE_TYPES]
     colors = [attribute for attribute in chosen if attribute.data_type in _COLOR_TYPES]
     active = mesh.color_attributes.render_color_index if colors else -1
     active_name = mesh.color_attributes[active].name if 0 <= active < len(mesh.color_attributes) else None
@@ -178,13 +178,13 @@ def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: 
     values = {}
     for attribute in colors + others[:ATTRIBUTE_LIMIT]:
         if len(attribute.data) == gather.sizes[attribute.domain]:
-            values[attribute.name] = gather.expand(_read_vec4(attribute), attribute.domain)
+            values[attribute.name] = gather.expand(read_vec4(attribute), attribute.domain)
     return values
 
 
-def _read_vec4(attribute: bpy.types.Attribute) -> np.ndarray:
+def read_vec4(attribute: bpy.types.Attribute) -> np.ndarray:
     """Return float32 [N, 4] as Cycles widens attributes: a number fills red, green and blue; alpha is 1."""
-    name, components = _ATTRIBUTE_TYPES[attribute.data_type]
+    name, components = ATTRIBUTE_TYPES[attribute.data_type]
     dtype = np.int32 if attribute.data_type in _INTEGER_TYPES else np.float32
     if attribute.data_type == 'BOOLEAN':
         dtype = np.bool_

@@ -56,7 +56,7 @@ class Moves:
     def note(self, depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object], gathered: Gathered,
              of_mesh: np.ndarray, kept: np.ndarray, table: InstanceTable, lamps: dict[int, LightData | None]) -> None:
         """Remember a walk, and how the objects looked that the update named."""
-        self._looks = _looks(depsgraph, objects)
+        self._looks = _looks(depsgraph, objects, table.property_names)
         self._walked = _Walked(gathered.drawn, of_mesh, kept, table, lamps, gathered.transforms)
 
     def read(self, depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object]) -> bool:
@@ -64,7 +64,7 @@ class Moves:
         walked = self._walked
         if walked is None:
             return False
-        looks = _looks(depsgraph, objects)
+        looks = _looks(depsgraph, objects, walked.table.property_names)
         if any(self._looks.get(uid) != look for uid, look in looks.items()):
             return False
         transforms = read_transforms(depsgraph, walked.drawn)
@@ -84,6 +84,7 @@ class Moves:
         return True
 
 
-def _looks(depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object]) -> dict[int, tuple]:
+def _looks(depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object], properties: tuple[str, ...],
+           ) -> dict[int, tuple]:
     view_layer = depsgraph.view_layer_eval
-    return {item.original.session_uid: look_of(item, view_layer) for item in objects}
+    return {item.original.session_uid: look_of(item, view_layer, properties) for item in objects}

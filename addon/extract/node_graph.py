@@ -15,7 +15,7 @@ from typing import Any
 from ...engine.program import ProgramBuilder, Value
 from ...engine.report import Report, ReportKind
 
-__all__ = ["Graph", "translates"]
+__all__ = ["Graph", "no_property", "translates"]
 
 Translator = Callable[["Graph", Any, str], Value]
 
@@ -40,11 +40,16 @@ def translates(*names: str) -> Callable[[Translator], Translator]:
     return register
 
 
+def no_property(name: str) -> tuple[float, ...]:
+    """Return what a view layer without properties says."""
+    return 0.0, 0.0, 0.0, 0.0
+
+
 class Graph:
     """One node tree being compiled."""
 
     def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False,
-                 lamp: bool = False):
+                 lamp: bool = False, layer: Callable[[str], tuple[float, ...]] = no_property):
         """Index the links of `tree`.
 
         Args:
@@ -55,6 +60,7 @@ class Graph:
             owner: Name of the data-block for messages.
             world: Whether the tree is seen from directions instead of surface points.
             lamp: Whether it is a lamp's, which has no mesh.
+            layer: Returns a property of the view layer.
         """
         self.builder = builder
         self.images = images
@@ -62,6 +68,7 @@ class Graph:
         self.owner = owner
         self.world = world
         self.lamp = lamp
+        self.layer = layer
         self.tree = tree
         self.normal: Value = builder.constant(0.0)
         """Normal of shaders without one: 0 is the shading normal"""

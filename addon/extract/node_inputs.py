@@ -70,19 +70,29 @@ def attribute(graph: Graph, name: str, output: str) -> Value:
     build = graph.builder
     if graph.lamp:
         return build.constant(0.0)
-    value = build.attribute(name)
+    return part_of(graph, build.attribute(name), output)
+
+
+def part_of(graph: Graph, value: Value, output: str) -> Value:
+    """Return the part of an attribute that an output gives."""
     if output == "Alpha":
-        return build.component(value, 3)
-    return build.vector("AVERAGE", value) if output == "Fac" else build.rgb(value)
+        return graph.builder.component(value, 3)
+    return graph.builder.vector("AVERAGE", value) if output == "Fac" else graph.builder.rgb(value)
 
 
 @translates("ShaderNodeAttribute")
 def attribute_node(graph: Graph, node, output: str) -> Value:
-    """Attribute of the mesh; properties of objects and view layers are not read."""
-    if node.attribute_type != 'GEOMETRY' or graph.world:
-        graph.tell(node, f"reads the property '{node.attribute_name}' of an object or view layer; it counts as 0")
+    """Attribute of the mesh, or property of the object, its instancer or the view layer."""
+    kind, name = node.attribute_type, node.attribute_name
+    if kind == 'VIEW_LAYER':
+        return part_of(graph, graph.builder.constant(graph.layer(name)), output)
+    if kind == 'GEOMETRY' and not graph.world:
+        return attribute(graph, name, output)
+    if graph.world or graph.lamp:
+        if graph.lamp:
+            graph.tell(node, f"reads the property '{name}' of a lamp's object; it counts as 0")
         return graph.builder.constant(0.0)
-    return attribute(graph, node.attribute_name, output)
+    return part_of(graph, graph.builder.object_property(name, instancer=kind == 'INSTANCER'), output)
 
 
 @translates("ShaderNodeVertexColor")

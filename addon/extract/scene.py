@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...engine.object_properties import property_names
 from ...engine.report import Report
 from ...engine.scene import (
     InstanceTable,
@@ -31,6 +32,7 @@ from .light import extract_light
 from .material import from_xyz
 from .mesh import extract_mesh
 from .moves import Moves
+from .properties import LayerProperties
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
 
@@ -103,6 +105,7 @@ class SceneExtractor:
         self._images: ImageCollector | None = None
         self._walk_report = Report()
         self._moves = Moves()
+        self._layer = LayerProperties()
 
     def refresh(self) -> None:
         """Read everything again next time, but keep meshes that weren't evaluated again (after undo)."""
@@ -189,6 +192,7 @@ class SceneExtractor:
         if not changes:
             return
         callbacks.step("Reading the scene", 0.0)
+        changes.everything |= self._layer.begin(depsgraph)
         self._aovs = _asked_aovs(depsgraph)
         images = self._begin_images(depsgraph, delta.full)
         if changes.only_objects and self._moves.read(depsgraph, changes.objects):
@@ -199,12 +203,13 @@ class SceneExtractor:
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
+            self._extract_materials(delta, gathered, changes, images, callbacks)
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
             lamps = self._extract_lights(gathered, changes, images)
-            self._extract_materials(delta, gathered, changes, images, callbacks)
             self._moves.note(depsgraph, changes.objects, gathered, of_mesh, kept, self._table, lamps)
         self._extract_world(delta, depsgraph, changes, images)
         self._hand_over_lights(delta)
+        self._layer.end()
         callbacks.step("Reading images", 1.0)
         delta.images = images.images
         self.counts.images = len(delta.images)
@@ -236,8 +241,14 @@ class SceneExtractor:
         self._mesh_reports = {key: self._mesh_reports[key] for key in set(keys) - {None}}
         filled = [None if key in self._empty_meshes else key for key in keys]
         of_mesh, kept = kept_rows(gathered, filled, self._walk_report)
-        self._hand_over_table(delta, build_table(gathered, filled, kept))
+        self._hand_over_table(delta, build_table(gathered, filled, kept, self._asked_properties()))
         return of_mesh, kept
+
+    def _asked_properties(self) -> tuple[str, ...]:
+        """Return the properties of objects that any material reads."""
+        return property_names(
+            name for data, _ in self._materials.values() for program in (data.program, *data.aovs.values())
+            for name in program.attributes)
 
     def _hand_over_table(self, delta: SceneDelta, table: InstanceTable) -> None:
         if self._table is None or not same_table(table, self._table):
@@ -292,7 +303,7 @@ class SceneExtractor:
             self._light_shaders.pop(uid, None)
         if uid not in self._light_shaders:
             light_report = Report()
-            self._light_shaders[uid] = (extract_light_shader(light, images, light_report), light_report)
+            self._light_shaders[uid] = (extract_light_shader(light, images, light_report, self._layer), light_report)
         return self._light_shaders[uid][0]
 
     def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: ImageCollector,
@@ -308,7 +319,7 @@ class SceneExtractor:
                 continue
             callbacks.step(f"Reading material '{material.name}'", number / len(gathered.materials))
             material_report = Report()
-            data = extract_material(material, images, material_report, self._aovs)
+            data = extract_material(material, images, material_report, self._aovs, self._layer)
             self.counts.materials += 1
             if old is None or not same_fields(data, old[0]):
                 delta.materials[key] = data
@@ -324,7 +335,7 @@ class SceneExtractor:
         if not (changes.everything or changes.world or changes.images or uid != self._world_uid):
             return
         self._world_report = Report()
-        data = extract_world(world, images, self._world_report, self._aovs)
+        data = extract_world(world, images, self._world_report, self._aovs, self._layer)
         if self._world is None or not same_fields(data, self._world):
             delta.world = data
         self._world, self._world_uid = data, uid

@@ -86,7 +86,7 @@ finish(counts={name: found.count(name) for name in set(found)}, unique=len(set(t
 def test_flags_and_materials(run_extraction):
     """Pass on ray visibility, holdouts, overrides, slot links, colours and indices as Cycles does."""
     result = run_extraction(r'''
-from burnish.addon.extract.instances import object_random_id
+from burnish.addon.extract.object_hash import object_random_id
 red, blue = material("Red"), material("Blue")
 shared = quad_mesh("Shared"); shared.materials.append(red); shared.materials.append(None)
 shared.polygons[0].material_index = 7
