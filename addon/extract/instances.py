@@ -175,7 +175,7 @@ def kept_rows(gathered: Gathered, mesh_keys: list[Hashable | None], report: Repo
 
 def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.ndarray,
                 properties: tuple[str, ...] = ()) -> InstanceTable:
-    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names, with objects' properties."""
+    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names, with their properties."""
     placements, sources, source_of = gathered.placements, gathered.sources, gathered.source_of
     rows = gathered.rows[keep]
     by_source = source_of[rows]

@@ -49,7 +49,7 @@ def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
 
 def make_graph(tree, images, report: Report, owner: str, *, builder: ProgramBuilder | None = None,
                **options) -> Graph:
-    """Return a graph over an inlined tree, ready to compile in the file's working space; options as a Graph has them."""
+    """Return a graph over an inlined tree, ready to compile in the file's working space; options are a Graph's."""
     graph = Graph(tree, builder or ProgramBuilder(), images, report, owner, **options)
     space = getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
     graph.from_rec709 = FROM_REC709.get(space)
