@@ -198,7 +198,7 @@ class GeometryStore:
                 for i, name in enumerate(r.attribute_names):
                     column = self.attribute_names.index(name)
                     attribute[r.row, column] = r.attribute_start + i * 3 * r.triangle_count
-                if r.attribute_names:
+                if r.attribute_names and not r.attribute_names[0].startswith("."):
                     attribute[r.row, 0] = r.attribute_start
             self._tables = (
                 wp.array(uv, dtype=wp.int32, device=self.device),

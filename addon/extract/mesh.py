@@ -10,6 +10,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ...engine.mesh_features import ISLAND, POINTINESS, pointiness, random_per_island
 from ...engine.report import Report, ReportKind
 from ...engine.sanitize import report_counts, sanitize_mesh
 from ...engine.scene import MeshData
@@ -39,7 +40,8 @@ _INTEGER_TYPES = {'INT', 'INT8', 'INT16_2D', 'INT32_2D'}
 _GEOMETRY_NAMES = {'position', 'material_index', 'sharp_face', 'custom_normal'}
 
 
-def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Report) -> MeshData:
+def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Report,
+                 derived: frozenset[str] = frozenset()) -> MeshData:
     """Copy an evaluated mesh and clean it.
 
     Args:
@@ -47,6 +49,7 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
         owner: Name for messages, such as `object 'Floor'`.
         slot_count: Material slots of the instance; indices are clamped to them as Blender does.
         report: Takes what was left out or repaired.
+        derived: Attributes of engine/mesh_features.py that it shall have.
 
     Returns:
         A MeshData that may have no triangles at all.
@@ -71,6 +74,8 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
         attributes=_read_attributes(mesh, gather, owner, report),
         generated=_read_texture_space(mesh),
     )
+    if derived and intact:
+        data.attributes |= _derive(mesh, gather, data.positions, derived)
     data, counts = sanitize_mesh(data)
     report_counts(report, owner, counts)
     return data
@@ -180,6 +185,19 @@ def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: 
         if len(attribute.data) == gather.sizes[attribute.domain]:
             values[attribute.name] = gather.expand(read_vec4(attribute), attribute.domain)
     return values
+
+
+def _derive(mesh: bpy.types.Mesh, gather: _Gather, positions: np.ndarray, names: frozenset[str],
+            ) -> dict[str, np.ndarray]:
+    """Return attributes that are worked out from the mesh's edges."""
+    edges = _read(mesh.attributes['.edge_verts'].data, 'value', np.int32, len(mesh.edges), 2)
+    found = {}
+    if ISLAND in names:
+        found[ISLAND] = random_per_island(len(positions), edges)
+    if POINTINESS in names:
+        normals = _read(mesh.vertex_normals, 'vector', np.float32, len(positions), 3)
+        found[POINTINESS] = pointiness(positions, normals, edges)
+    return {name: gather.expand(np.repeat(values[:, None], 4, axis=1), 'POINT') for name, values in found.items()}
 
 
 def read_vec4(attribute: bpy.types.Attribute) -> np.ndarray:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from ...engine.mesh_features import ISLAND, POINTINESS
 from ...engine.program import Value, tangent_attribute
 from ...engine.report import ReportKind
 from ...engine.scene import Visibility
@@ -105,12 +106,10 @@ def color_attribute_node(graph: Graph, node, output: str) -> Value:
 def geometry_node(graph: Graph, node, output: str) -> Value:
     """Geometry."""
     build = graph.builder
-    if output == "Pointiness":
-        graph.tell(node, "gives Pointiness, which is not computed; 0.5 stands in for it")
-        return build.constant(0.5)
-    if output == "Random Per Island":
-        graph.tell(node, "gives Random Per Island, which is not computed; 0 stands in for it")
-        return build.constant(0.0)
+    if output in ("Pointiness", "Random Per Island"):
+        if graph.world or graph.lamp:
+            return build.constant(0.0)
+        return build.rgb(build.attribute(POINTINESS if output == "Pointiness" else ISLAND))
     names = {"Position": "POSITION", "Normal": "NORMAL", "Tangent": "TANGENT_Z", "True Normal": "TRUE_NORMAL",
              "Incoming": "INCOMING", "Parametric": "PARAMETRIC", "Backfacing": "BACKFACING"}
     return build.input(names[output])
