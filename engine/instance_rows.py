@@ -11,7 +11,8 @@ from .light_linking import emitted_visibility, received_bits
 from .scene import InstanceTable, Key, MaterialData
 from .structures import RAY_KINDS
 
-__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "scene_origin", "write_places"]
+__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "scene_origin", "stops_all",
+           "write_places"]
 
 ROW_TYPE = np.dtype(types.Instance.numpy_dtype())
 """Asked for once: Warp works it out anew each time"""
@@ -60,13 +61,19 @@ def scene_origin(center: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.zeros(3)
 
 
+def stops_all(table: InstanceTable) -> np.ndarray:
+    """Return bool [N], which instances all kinds of rays see, and shadow rays of all lights."""
+    seen = (table.visibility & RAY_KINDS) == RAY_KINDS
+    return seen if table.spared is None else seen & ~table.spared
+
+
 def filtered_groups(
     table: InstanceTable, materials: dict[Key, MaterialData],
 ) -> tuple[list[tuple[bool, ...]], np.ndarray]:
     """Return the distinct tuples of filtered slots, and int64 [N], which of them each instance has."""
     transparent = [
         tuple(materials.get(key, materials[None]).has_transparency for key in keys) for keys in table.material_sets]
-    partial = (table.visibility & RAY_KINDS) != RAY_KINDS
+    partial = ~stops_all(table)
     combined = table.material_set_index * 2 + partial
     values, group_index = np.unique(combined, return_inverse=True)
     groups = []
@@ -96,7 +103,7 @@ def instance_rows(table: InstanceTable, ranges: list[MeshRange], origin: np.ndar
     offsets = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
     rows["material_offset"] = offsets[table.material_set_index]
     rows["material_count"] = lengths[table.material_set_index]
-    rows["visibility"] = emitted_visibility(table.visibility, table.linked_to)
+    rows["visibility"] = emitted_visibility(table.visibility, table.linked_to, table.blocked_by)
     rows["receives"] = received_bits(table)
     rows["object_id"] = table.object_name_index
     rows["pass_index"] = table.pass_index

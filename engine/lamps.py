@@ -120,7 +120,7 @@ def drawn_lamps(
         row["kind"] = KINDS[light.kind]
         row["position"] = matrix[:3, 3] - origin
         row["direction"] = _unit(-matrix[:3, 2], (0.0, 0.0, -1.0))
-        row["visibility"] = emitted_visibility(light.visibility, light.linked_to)
+        row["visibility"] = emitted_visibility(light.visibility, light.linked_to, light.blocked_by)
         row["flags"] = 0 if light.cast_shadow else 4
         # What doesn't fit float32 overflows, and is left out below.
         with np.errstate(over="ignore"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light linking: sets of objects that lights are for, as numbers of lights and bits of objects.
+"""Light and shadow linking: sets of objects that lights are for, or that cast their shadows: numbers and bits.
 
 Blender's rules (its manual, "Light Linking", and depsgraph_light_linking.cc): a set names objects that it includes or
 excludes. Where it includes any, its lights are for those alone; where it only excludes, for all others. Kernels test
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..kernels.light_linking import BLOCK_SHIFT
 from ..kernels.types import LINK_SHIFT
 from .scene import InstanceTable, LightData
 
@@ -70,9 +71,12 @@ def number_sets(sets: Mapping[Hashable, Mapping[Hashable, bool]], limit: int = R
     return ReceiverSets(numbers, tuple(left_out), named, others)
 
 
-def emitted_visibility(visibility: np.ndarray | int, linked_to: np.ndarray | int | None) -> np.ndarray | int:
-    """Return visibility as lights and instances on the device have it: with the number of the set."""
-    return visibility if linked_to is None else visibility | (linked_to << int(LINK_SHIFT))
+def emitted_visibility(visibility: np.ndarray | int, linked_to: np.ndarray | int | None,
+                       blocked_by: np.ndarray | int | None = None) -> np.ndarray | int:
+    """Return visibility as lights and instances on the device have it: with the numbers of the sets."""
+    if linked_to is not None:
+        visibility = visibility | (linked_to << int(LINK_SHIFT))
+    return visibility if blocked_by is None else visibility | (blocked_by << int(BLOCK_SHIFT))
 
 
 def received_bits(table: InstanceTable) -> np.ndarray:
@@ -84,25 +88,30 @@ def received_bits(table: InstanceTable) -> np.ndarray:
 
 
 def is_linked(lights: Iterable[LightData], table: InstanceTable | None, emitting: np.ndarray) -> bool:
-    """Return whether any light is for some objects alone; `emitting`: bool by set of materials, which may shine."""
-    if any(light.linked_to for light in lights):
+    """Return whether any light is for some objects alone, or some alone cast its shadows.
+
+    `emitting`: bool by set of materials, which may shine.
+    """
+    if any(light.linked_to or light.blocked_by for light in lights):
         return True
-    if table is None or table.linked_to is None:
+    if table is None:
         return False
-    return bool((emitting[table.material_set_index] & (table.linked_to != 0)).any())
+    return any(bool((emitting[table.material_set_index] & (numbers != 0)).any())
+               for numbers in (table.linked_to, table.blocked_by) if numbers is not None)
 
 
 def same_links(table: InstanceTable, other: InstanceTable | None) -> bool:
     """Return whether objects that are in both tables receive and emit for the same sets in both."""
     if other is None or (table.receives is None and other.receives is None):
         return other is not None
-    if table.receives is other.receives and table.linked_to is other.linked_to:
+    if all(getattr(table, name) is getattr(other, name) for name in ("receives", "linked_to", "blocked_by")):
         return True
     before = _links_by_object(other)
     return all(before.get(key, links) == links for key, links in _links_by_object(table).items())
 
 
-def _links_by_object(table: InstanceTable) -> dict[Hashable, tuple[int, int]]:
-    linked_to = np.zeros(len(table.mesh_index), np.int32) if table.linked_to is None else table.linked_to
-    links = zip(received_bits(table).tolist(), linked_to.tolist(), strict=True)
+def _links_by_object(table: InstanceTable) -> dict[Hashable, tuple[int, int, int]]:
+    none = np.zeros(len(table.mesh_index), np.int32)
+    numbers = [none if each is None else each for each in (table.linked_to, table.blocked_by)]
+    links = zip(received_bits(table).tolist(), *(each.tolist() for each in numbers), strict=True)
     return dict(zip(table.object_keys, links, strict=True))

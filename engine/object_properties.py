@@ -62,7 +62,7 @@ class ObjectProperties:
         return not same
 
     def resolver(self, attribute_id: Callable[[str], int]) -> Callable[[str], int]:
-        """Return what numbers properties' names, -1 for those not there, and leaves others to `attribute_id`."""
+        """Return what numbers names of properties, -1 for those not there, and leaves others to `attribute_id`."""
         names: Sequence[str] = self._names
 
         def number(name: str) -> int:

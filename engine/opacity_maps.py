@@ -25,8 +25,9 @@ from ..kernels.opacity_pieces import AlphaMask
 from ..kernels.types import Scene
 from ..kernels.wide_bvh import TRIANGLE_WORDS
 from .alpha_masks import MaskedBy, find_mask
+from .instance_rows import stops_all
 from .opacity_answers import Answers, plan_answers
-from .structures import RAY_KINDS, FlatStructure
+from .structures import FlatStructure
 from .wide_bvh import WideBvh, launch_bands
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ class OpacityMaps:
             return None
         masked = np.array([any(key in masks for key in keys) for keys in table.material_sets], bool)
         # Objects that some rays don't see are no obstacle to those.
-        seen = (table.visibility & RAY_KINDS) == RAY_KINDS
+        seen = stops_all(table)
         chosen = np.flatnonzero(masked[table.material_set_index] & seen & self._flat & (source.plan.mesh_index >= 0))
         sets = len(table.material_sets)
         groups = source.plan.mesh_index[chosen].astype(np.int64) * sets + table.material_set_index[chosen]

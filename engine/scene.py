@@ -62,7 +62,7 @@ class Visibility(enum.IntFlag):
     HOLDOUT = 64
     """Not a ray kind: the object cuts a transparent hole in the picture."""
     SHADOW_CATCHER = 128
-    """Not a ray kind: not drawn in this version, named in the report."""
+    """Not a ray kind: the camera sees how much darker all other things make it (passes/shadow_catcher.py)."""
     ALL = CAMERA | DIFFUSE | GLOSSY | TRANSMISSION | SHADOW | VOLUME
 
 
@@ -103,11 +103,20 @@ class InstanceTable:
     linked_to: np.ndarray | None = None
     """int32 [N], number of the set of receivers that what an instance emits is for, 0: everything (light_linking.py)"""
     receives: np.ndarray | None = None
-    """uint32 [N], bit k for the lights of set k, and bit 0; None: all lights"""
+    """uint32 [N], bit k where it is in set k, and bit 0; None: all lights"""
+    blocked_by: np.ndarray | None = None
+    """int32 [N], number of the set of what casts shadows of what an instance emits, 0: everything"""
+    spared: np.ndarray | None = None
+    """bool [N], whether it casts no shadow of some lights; None: none does"""
     property_names: tuple[str, ...] = ()
     """P names of objects' properties that programs read (object_properties.py)"""
     properties: np.ndarray | None = None
     """float32 [P, N, 4], their values; None without any"""
+
+    @property
+    def has_catchers(self) -> bool:
+        """Whether any instance is a shadow catcher."""
+        return bool((self.visibility & int(Visibility.SHADOW_CATCHER)).any())
 
     def moved_from(self, other: InstanceTable) -> bool:
         """Return whether this is the other table with nothing but other transforms, by its very arrays and lists."""
@@ -223,6 +232,8 @@ class LightData:
     light_group: str = ""
     linked_to: int = 0
     """Number of the set of receivers that it is for, 0: everything (light_linking.py)"""
+    blocked_by: int = 0
+    """Number of the set of what casts its shadows, 0: everything"""
     program: Program | None = None
     """Factor on `color` where the node tree varies (lamp_needs.py); None: it is in `color`"""
 

@@ -21,7 +21,7 @@ from .intersect import any_hit, offset_origin
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
 from .light_candidate import CANDIDATE_EMITTER, candidate_index, candidate_kind, replay
-from .light_linking import kinds_lit
+from .light_linking import kinds_lit, note_blockers
 from .packed_halves import pack_halves
 from .packing import rgba
 from .paths import PENDING_NONE, PENDING_TRIANGLE, Paths
@@ -63,6 +63,7 @@ def start_factor(scene: Scene, emitter: int, s: LightSample, slot: int, rays: Pa
     """
     light = float(1.0)
     rays.shadow_pending[slot] = PENDING_NONE
+    note_blockers(scene, s.visibility, rays, slot)
     if emitter >= 0:
         face = scene.lights.triangles[emitter]
         if not is_constant(scene, face[0], face[1]):

@@ -12,6 +12,7 @@ import warp as wp
 
 from .geometry_math import max_component
 from .intersect import MISS, Hit, closest_layer, may_emit, shadow_layer, surface_point
+from .light_linking import is_in
 from .nodes import evaluate_transparency
 from .sampling import sample_number
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
@@ -44,9 +45,14 @@ def layer_point(scene: Scene, hit: Hit, direction: wp.vec3, kind: int, depth: in
 
 
 @wp.func
-def layer_transparency(scene: Scene, point: ShadingPoint, kind: int) -> wp.vec3:
-    """Return how much of the light a layer lets through: 1 where this kind of ray does not see the object."""
+def layer_transparency(scene: Scene, point: ShadingPoint, kind: int, blocking: int) -> wp.vec3:
+    """Return how much of the light a layer lets through: 1 where this kind of ray does not see the object.
+
+    `blocking`: set of what stops a shadow ray, see light_linking.shadow_set.
+    """
     if (scene.geometry.instances[point.instance].visibility & kind) == 0:
+        return wp.vec3(1.0, 1.0, 1.0)
+    if blocking != 0 and not is_in(scene, point.instance, blocking):
         return wp.vec3(1.0, 1.0, 1.0)
     if (scene.materials.materials[point.material].flags & MATERIAL_TRANSPARENCY) == 0:
         return wp.vec3(0.0, 0.0, 0.0)
@@ -88,7 +94,7 @@ def accept_hit(
     hit = first
     for layer in range(MAX_LAYERS):
         point = layer_point(scene, hit, direction, kind, depth, cone)
-        transparency = layer_transparency(scene, point, kind)
+        transparency = layer_transparency(scene, point, kind, 0)
         chance = pass_chance(scene, point, transparency, kind)
         if sample_number(seed, index, layer) >= chance:
             result.hit = hit
@@ -112,7 +118,7 @@ def accept_hit(
 
 @wp.func
 def transmittance(
-    scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, first: Hit, depth: int,
+    scene: Scene, origin: wp.vec3, direction: wp.vec3, distance: float, first: Hit, depth: int, blocking: int,
 ) -> FilteredHit:
     """Return as `weight` the product of all layers' transparency along a shadow ray that nothing opaque blocks."""
     result = FilteredHit()
@@ -121,7 +127,7 @@ def transmittance(
     hit = first
     for _layer in range(MAX_LAYERS):
         point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
-        product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW))
+        product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW, blocking))
         if max_component(product) <= 0.0:
             result.weight = product
             return result

@@ -12,6 +12,7 @@ import warp as wp
 from .filter import MAX_LAYERS, layer_point, pass_chance, step_past
 from .geometry_math import max_component
 from .intersect import MISS, Hit, Layer, closest_layer, shadow_layer
+from .light_linking import is_in
 from .node_lean import run_lean_transparency
 from .sampling import sample_number
 from .types import MATERIAL_TRANSPARENCY, VISIBLE_SHADOW, Scene, ShadingPoint
@@ -27,9 +28,11 @@ WALK_OVERRUN = wp.constant(3)
 
 
 @wp.func
-def lean_transparency(scene: Scene, point: ShadingPoint, kind: int) -> wp.vec3:
-    """Return how much of the light a layer lets through: 1 where this kind of ray does not see the object."""
+def lean_transparency(scene: Scene, point: ShadingPoint, kind: int, blocking: int) -> wp.vec3:
+    """Return how much of the light a layer lets through: see filter.layer_transparency."""
     if (load_instance(scene.geometry.instances, point.instance).visibility & kind) == 0:
+        return wp.vec3(1.0, 1.0, 1.0)
+    if blocking != 0 and not is_in(scene, point.instance, blocking):
         return wp.vec3(1.0, 1.0, 1.0)
     program = load_material_flags(scene.materials.materials, point.material)
     if (program[3] & MATERIAL_TRANSPARENCY) == 0:
@@ -84,7 +87,7 @@ def accept_layer(
     """Stop at a layer or go on to the next by chance: a step of filter.accept_hit; opaque hits lie at t_max."""
     out = walk
     point = layer_point(scene, walk.hit, direction, kind, depth, cone)
-    transparency = lean_transparency(scene, point, kind)
+    transparency = lean_transparency(scene, point, kind, 0)
     chance = pass_chance(scene, point, transparency, kind)
     if sample_number(seed, index, walk.layers) >= chance:
         out.weight = walk.weight / (1.0 - chance)
@@ -102,13 +105,14 @@ def accept_layer(
 @wp.func
 def pass_layer(
     scene: Scene, walk: LayerWalk, origin: wp.vec3, direction: wp.vec3, distance: float, depth: int,
+    blocking: int,
 ) -> LayerWalk:
     """Take a layer's transparency in and go on to the next one: a step of filter.transmittance."""
     out = walk
     point = layer_point(scene, walk.hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
     # A constant for compilers, which leave out what only widths need.
     point.footprint = 0.0
-    out.weight = wp.cw_mul(walk.weight, lean_transparency(scene, point, VISIBLE_SHADOW))
+    out.weight = wp.cw_mul(walk.weight, lean_transparency(scene, point, VISIBLE_SHADOW, blocking))
     if max_component(out.weight) <= 0.0:
         out.state = WALK_STOPPED
         return out

@@ -55,7 +55,7 @@ def look_through(view: View, scene: Scene, width: int, hits: PrimaryHits, pixel:
     while hit.instance != MISS and layers < MAX_LAYERS:
         layers = layers + 1
         point = layer_point(scene, hit, ray.direction, VISIBLE_CAMERA, 0, cone)
-        through = wp.cw_mul(through, lean_transparency(scene, point, VISIBLE_CAMERA))
+        through = wp.cw_mul(through, lean_transparency(scene, point, VISIBLE_CAMERA, 0))
         start = step_past(point, ray.direction, hit.t)
         hit.instance = MISS
         if max_component(through) > 0.0 and start < hits.t[pixel]:

@@ -18,7 +18,7 @@ from .lamp_hit import FAR
 from .lamp_tables import meet_lamp
 from .layers import LAYER_STREAM
 from .light_groups import GroupLight, GroupTables, add_to_group, forget_groups
-from .light_linking import lamp_counts
+from .light_linking import lamp_counts, met_by_rays
 from .lights import lamp_chance
 from .media import (
     NO_MEDIUM,
@@ -121,7 +121,8 @@ def gather_lamps_between(
         visibility = scene.lights.lamps[i].visibility
         if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
             hit = meet_lamp(scene.lights, i, origin, direction, end)
-            if hit.t > 0.0 and hit.t >= start and lamp_counts(scene, visibility, bounce, paths, path):
+            counts = lamp_counts(scene, visibility, bounce, paths, path) and met_by_rays(scene, visibility, pdf)
+            if hit.t > 0.0 and hit.t >= start and counts:
                 weight = float(1.0)
                 if pdf > 0.0:
                     weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
@@ -212,7 +213,7 @@ def march(
                 return True
         if going:
             point = layer_point(scene, hit, direction, kind, bounce, paths.cone[path])
-            transparency = layer_transparency(scene, point, kind)
+            transparency = layer_transparency(scene, point, kind, 0)
             chance = pass_chance(scene, point, transparency, kind)
             if further.solid == 1:
                 chance = 0.0

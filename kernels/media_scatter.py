@@ -9,7 +9,7 @@ from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, 
 from .intersect import MISS, may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
-from .light_linking import kinds_lit, note_receiver
+from .light_linking import blockers, kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .media import (
     Inside,
@@ -124,7 +124,7 @@ def light_scattered(
                 s.visibility = kinds_lit(scene, s.visibility, instance)
             value = phase_value(media, inside, wp.dot(paths.direction[path], s.wi))
             weight = float(1.0)
-            if s.delta == 0:
+            if s.delta == 0 and blockers(s.visibility) == 0:
                 weight = power_heuristic(s.pdf, value)
             here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
             worth = wp.dot(here, scene.luminance) * s.brightness

@@ -8,6 +8,7 @@ import warp as wp
 from .filter import MAX_LAYERS, layer_point, layer_transparency, step_past
 from .geometry_math import max_component
 from .intersect import MISS, closest_layer
+from .light_linking import shadow_set
 from .media import (
     NO_MEDIUM,
     Inside,
@@ -35,6 +36,7 @@ def share_through(
     origin = paths.shadow_origin[path]
     direction = paths.shadow_direction[path]
     distance = paths.shadow_distance[path]
+    blocking = shadow_set(scene, paths, path)
     inside = begin
     product = wp.vec3(1.0, 1.0, 1.0)
     start = float(0.0)
@@ -51,7 +53,7 @@ def share_through(
         if further.solid == 1:
             return wp.vec3(0.0, 0.0, 0.0)
         point = layer_point(scene, hit, direction, VISIBLE_SHADOW, depth, wp.vec2(0.0, 0.0))
-        product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW))
+        product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW, blocking))
         if not max_component(product) > 0.0:
             return wp.vec3(0.0, 0.0, 0.0)
         medium = media.of_material[point.material]

@@ -10,7 +10,7 @@ from .geometry_math import power_heuristic
 from .intersect import MISS, may_emit, triangle_material
 from .lamp_hit import FAR
 from .lamp_tables import meet_lamp
-from .light_linking import lamp_counts
+from .light_linking import lamp_counts, met_by_rays
 from .lights import environment_chance, lamp_chance
 from .nodes import evaluate_world
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
@@ -33,7 +33,8 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
     for i in range(scene.lights.lamp_count):
         flags = scene.lights.lamps[i].flags
         visibility = scene.lights.lamps[i].visibility
-        if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
+        if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0 and met_by_rays(
+                scene, visibility, pdf):
             hit = meet_lamp(scene.lights, i, origin, direction, t_max)
             if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
                 weight = float(1.0)

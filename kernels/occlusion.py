@@ -12,6 +12,7 @@ import warp as wp
 
 from .geometry_math import clamp3, is_finite3, to_frame
 from .intersect import offset_origin
+from .light_linking import note_blockers
 from .packing import rgb
 from .paths import ENDED, PENDING_NONE, Paths, has_hit, hit_point
 from .sampling import DIMENSION_BSDF, DIMENSION_FIRST_BOUNCE, sample_cosine, sample_pair
@@ -57,6 +58,7 @@ def aim(scene: Scene, distance: float, paths: Paths, path: int):
     paths.shadow_distance[path] = wp.max(distance, SHORTEST)
     paths.shadow_light[path] = wp.cw_mul(paths.throughput[path], alpha)
     paths.shadow_pending[path] = PENDING_NONE
+    note_blockers(scene, 0, paths, path)
 
 
 @wp.kernel

@@ -13,7 +13,14 @@ from .geometry_math import is_finite3, max_component, normalize_or, power_heuris
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
-from .light_linking import emission_counts, kinds_lit, note_receiver
+from .light_linking import (
+    blockers,
+    emission_counts,
+    kinds_lit,
+    met_by_rays,
+    note_blockers,
+    note_receiver,
+)
 from .lights import class_total, emitter_pdf, sample_light_of
 from .paths import (
     LONG_PATH,
@@ -99,6 +106,8 @@ def carry_light(scene: Scene, s: LightSample, light: wp.vec3, paths: Paths, path
     paths.shadow_pending[path] = pending
     paths.shadow_emitter[path] = wp.vec2i(s.instance, s.triangle)
     paths.shadow_barycentrics[path] = wp.vec2(s.u, s.v)
+    if s.kind != LIGHT_TRIANGLE:
+        note_blockers(scene, s.visibility, paths, path)
     return True
 
 
@@ -174,6 +183,8 @@ def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: 
             scene, point.instance, point.triangle, paths.origin[path], paths.side[path], paths.direction[path],
             point.ray_length)
         weight = power_heuristic(pdf, light_pdf)
+        if light_pdf > 0.0 and not met_by_rays(scene, scene.geometry.instances[point.instance].visibility, pdf):
+            return
     add_light(paths, path, wp.cw_mul(paths.throughput[path], emission) * weight, limit_at(options, point.ray_depth))
 
 
@@ -199,7 +210,7 @@ def arriving(point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
     """Return what a light sample adds to a path of throughput 1 if nothing is in its way, weighed against the BSDF."""
     value = evaluate_bsdf(bsdf, point.wo, s.wi)
     weight = float(1.0)
-    if s.delta == 0:
+    if s.delta == 0 and blockers(s.visibility) == 0:
         weight = power_heuristic(s.pdf, value.pdf)
     reflected = wp.dot(point.geometric_normal, s.wi) > 0.0
     f = visible_part(value.f, value.diffuse, reflected, s.visibility)

@@ -7,6 +7,7 @@ import warp as wp
 
 from .filter import transmittance
 from .geometry_math import max_component
+from .light_linking import shadow_set
 from .paths import PENDING_NONE, Options, Paths, add_shadow_light, has_shadow_layers, load_layer
 from .types import Scene
 
@@ -47,7 +48,7 @@ def weaken_shadow_rays(
             if distance > 0.0:
                 passed = transmittance(
                     scene, paths_out.shadow_origin[path], paths_out.shadow_direction[path], distance,
-                    load_layer(paths_out, path), bounces[0] + 1)
+                    load_layer(paths_out, path), bounces[0] + 1, shadow_set(scene, paths_out, path))
                 light = wp.cw_mul(light, passed.weight)
                 paths_out.overruns[path] = paths_out.overruns[path] + passed.overrun
             add_weakened(options, bounces[0], paths_out, path, light)

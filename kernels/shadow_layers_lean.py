@@ -7,6 +7,7 @@ import warp as wp
 
 from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_PASSED, LayerWalk, pass_layer, start_walk
 from .intersect import MISS
+from .light_linking import shadow_set
 from .paths import Options, Paths, load_layer
 from .shadow_layers import add_weakened
 from .types import Scene
@@ -53,7 +54,7 @@ def weaken_shadow_rays_lean(
             if walk.state == WALK_ON:
                 walk = pass_layer(
                     scene, walk, paths_out.shadow_origin[path], paths_out.shadow_direction[path],
-                    paths_out.shadow_distance[path], bounces[0] + 1)
+                    paths_out.shadow_distance[path], bounces[0] + 1, shadow_set(scene, paths_out, path))
             if walk.state != WALK_ON:
                 finish_ray(options, bounces[0], paths_out, path, walk)
                 path = int(-1)

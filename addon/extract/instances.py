@@ -77,8 +77,8 @@ class Source:
     asset: str
     """Name of the uppermost parent, its own without one"""
     light_group: str = ""
-    receivers: int | None = None
-    """Set of objects that it lights, as Linking.read names it; None: everything"""
+    links: tuple[int | None, int | None] = (None, None)
+    """Sets of what it lights and of what casts its shadows, from Linking.read"""
 
     @property
     def is_light(self) -> bool:
@@ -175,7 +175,7 @@ def kept_rows(gathered: Gathered, mesh_keys: list[Hashable | None], report: Repo
 
 def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.ndarray,
                 properties: tuple[str, ...] = ()) -> InstanceTable:
-    """Return the table of the mesh instances that `keep` (bool [N], see `kept_rows`) names, with their properties."""
+    """Return the table of the mesh instances that `keep` names (bool [N], see `kept_rows`), with properties."""
     placements, sources, source_of = gathered.placements, gathered.sources, gathered.source_of
     rows = gathered.rows[keep]
     by_source = source_of[rows]
@@ -226,7 +226,7 @@ class _Walk:
         if not instance.show_self or not self._is_drawn(item):
             return -1
         parent = instance.parent if instance.is_instance else item
-        visibility = self._visibility(item, parent, owner.name)
+        visibility = self._visibility(item, parent)
         if not visibility & _ALL_RAYS:
             return -1
         source = self._source(owner, item)
@@ -255,7 +255,7 @@ class _Walk:
                 self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'",
                                 "particle hair is not drawn in this version")
 
-    def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object, name: str) -> int:
+    def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""
         visibility = _ray_visibility(item)
         if parent is not item:
@@ -266,7 +266,6 @@ class _Walk:
             visibility &= ~Visibility.CAMERA.value
         if item.type != 'LIGHT' and (item.is_shadow_catcher or parent.is_shadow_catcher):
             visibility |= Visibility.SHADOW_CATCHER.value
-            self.report.add(ReportKind.SKIPPED, f"object '{name}'", "shadow catchers are not drawn in this version")
         return visibility
 
     def _source(self, owner: bpy.types.Object, item: bpy.types.Object) -> int:
@@ -281,7 +280,7 @@ class _Walk:
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
             color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
             asset=_uppermost(owner).name, light_group=owner.lightgroup,
-            receivers=self.gathered.linking.read(owner, self.report)))
+            links=self.gathered.linking.read(owner)))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
 

@@ -23,7 +23,7 @@ _ENERGY_LIMIT = 1e30
 
 def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int,
                   shader: tuple[tuple[float, float, float], Program | None], owner: str, report: Report,
-                  light_group: str = "", linked_to: int = 0) -> LightData | None:
+                  light_group: str = "", links: tuple[int, int] = (0, 0)) -> LightData | None:
     """Copy one lamp instance.
 
     Args:
@@ -34,7 +34,7 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         owner: Name for messages, such as `light 'Key'`.
         report: Takes what is not drawn.
         light_group: Of the lamp's object.
-        linked_to: Number of the set of objects that it lights.
+        links: Numbers of the sets of objects that it lights and of what casts its shadows.
 
     Returns:
         None where the lamp can't light anything (a portal, a broken transform or colour).
@@ -60,7 +60,8 @@ def extract_light(light: bpy.types.Light, transform: np.ndarray, visibility: int
         "use_mis": bool(getattr(settings, "use_multiple_importance_sampling", True)),
         "visibility": visibility,
         "light_group": light_group,
-        "linked_to": linked_to,
+        "linked_to": links[0],
+        "blocked_by": links[1],
         "program": shader[1],
     }
     return LightData(**common, **_shape(light))

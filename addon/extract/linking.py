@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light linking: which objects the lamps and emissive meshes of a walk are for.
+"""Light and shadow linking: which objects lamps and emissive meshes of a walk are for, and which cast their shadows.
 
 Follows Blender's depsgraph_light_linking.cc and Cycles' light_linking.cpp: what belongs to a child collection has that
 child's state, of several states the last counts, and an instance goes by its instancer if any set names that. Main
@@ -21,22 +21,21 @@ __all__ = ["Linking", "links_of"]
 
 
 class Linking:
-    """The receiver collections of one walk: read object by object, then numbered."""
+    """The receiver and blocker collections of one walk: read object by object, then numbered."""
 
     def __init__(self) -> None:
         self._members: dict[int, dict[int, bool]] = {}
         self._owners: dict[int, list[str]] = {}
         self._sets: ReceiverSets = number_sets({})
 
-    def read(self, item: bpy.types.Object, report: Report) -> int | None:
-        """Return the key of the set of objects that what an object shines is for; None: for everything."""
+    def read(self, item: bpy.types.Object) -> tuple[int | None, int | None]:
+        """Return keys of the sets of what an object's light is for and of what casts its shadows; None: everything."""
         linking = item.original.light_linking
         if linking is None:
-            return None
-        if linking.blocker_collection is not None:
-            report.add(ReportKind.APPROXIMATED, f"object '{item.name}'",
-                       "shadow linking is not drawn in this version: everything shades its light")
-        collection = linking.receiver_collection
+            return None, None
+        return self._key(linking.receiver_collection, item), self._key(linking.blocker_collection, item)
+
+    def _key(self, collection: bpy.types.Collection | None, item: bpy.types.Object) -> int | None:
         if collection is None:
             return None
         key = collection.session_uid
@@ -49,26 +48,38 @@ class Linking:
         """Number the sets, when all objects are read."""
         self._sets = number_sets(self._members)
         for key in self._sets.left_out:
-            for name in self._owners[key]:
+            for name in dict.fromkeys(self._owners[key]):
                 report.add(
                     ReportKind.APPROXIMATED, f"object '{name}'",
-                    f"lights everything: light linking knows {RECEIVER_SETS} different sets of receivers in a scene")
+                    f"lights everything, or everything casts its shadows: light linking knows {RECEIVER_SETS} "
+                    "different sets in a scene")
 
     def number(self, key: int | None) -> int:
         """Return the number of the set that `read` has returned the key of, 0 for everything."""
         return 0 if key is None else self._sets.numbers[key]
 
+    def numbers(self, keys: tuple[int | None, int | None]) -> tuple[int, int]:
+        """Return the same of both keys."""
+        return self.number(keys[0]), self.number(keys[1])
+
     def columns(self, sources: list[Any], placements: list[Any], rows: np.ndarray) -> dict[str, np.ndarray | None]:
         """Return the columns of an InstanceTable; `rows`: int [N], the instances' placements."""
         if not self._sets.named:
-            return {"linked_to": None, "receives": None}
-        linked_to, receives = [], []
+            return {}
+        linked_to, blocked_by, receives = [], [], []
         for placement in placements:
             source = sources[placement.source]
-            linked_to.append(self.number(source.receivers))
+            linked_to.append(self.number(source.links[0]))
+            blocked_by.append(self.number(source.links[1]))
             key = placement.parent_uid if placement.parent_uid in self._sets.named else source.uid
             receives.append(self._sets.bits(key))
-        return {"linked_to": np.array(linked_to, np.int32)[rows], "receives": np.array(receives, np.uint32)[rows]}
+        columns = {"linked_to": np.array(linked_to, np.int32)[rows], "receives": np.array(receives, np.uint32)[rows]}
+        blocking = {self.number(source.links[1]) for source in sources} - {0}
+        if blocking:
+            bits = sum(1 << number for number in blocking)
+            columns["blocked_by"] = np.array(blocked_by, np.int32)[rows]
+            columns["spared"] = (columns["receives"] & bits) != bits
+        return columns
 
 
 def links_of(item: bpy.types.Object) -> tuple[int, int]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...engine.mesh_features import derived_names
 from ...engine.object_properties import property_names
 from ...engine.report import Report
 from ...engine.scene import (
@@ -94,6 +95,8 @@ class SceneExtractor:
         self._mesh_keys = MeshKeys()
         self._empty_meshes: set[int] = set()
         self._mesh_reports: dict[int, Report] = {}
+        self._derived: dict[int, frozenset[str]] = {}
+        """What was worked out of each mesh (engine/mesh_features.py)"""
         self._table: InstanceTable | None = None
         self._lights: list[LightData] | None = None
         self._object_lights: list[LightData] = []
@@ -128,6 +131,11 @@ class SceneExtractor:
         sets = np.unique(table.material_set_index[table.linked_to != 0]).tolist()
         keys = dict.fromkeys(key for index in sets for key in table.material_sets[index])
         return [self._materials[key][0] for key in keys if key in self._materials]
+
+    @property
+    def has_catchers(self) -> bool:
+        """Whether there are shadow catchers, as of the last extraction."""
+        return self._table is not None and self._table.has_catchers
 
     def mesh_keys(self) -> dict[tuple[int, int], int]:
         """Return the meshes' keys as of the last extraction by MeshKeys' slots."""
@@ -229,6 +237,12 @@ class SceneExtractor:
             # Edit mode and sculpting may change a mesh without evaluating it anew.
             if key is not None and source.uid in changes.geometry:
                 new.setdefault(key, source)
+        wanted = self._wanted_attributes(keys, gathered.sources)
+        for key, source in zip(keys, gathered.sources, strict=True):
+            if wanted.get(key, frozenset()) - self._derived.get(key, frozenset()):
+                new.setdefault(key, source)
+        self._derived = {key: wanted.get(key, frozenset()) | (frozenset() if key in new else old)
+                         for key, old in ((key, self._derived.get(key, frozenset())) for key in set(keys) - {None})}
         for number, (key, source) in enumerate(new.items()):
             callbacks.step(f"Reading mesh '{source.name}'", number / len(new))
             data = self._read_mesh(key, source)
@@ -246,9 +260,21 @@ class SceneExtractor:
 
     def _asked_properties(self) -> tuple[str, ...]:
         """Return the properties of objects that any material reads."""
-        return property_names(
-            name for data, _ in self._materials.values() for program in (data.program, *data.aovs.values())
-            for name in program.attributes)
+        return property_names(name for data, _ in self._materials.values() for name in _attributes_of(data))
+
+    def _wanted_attributes(self, keys: list[int | None], sources: list[Source]) -> dict[int, frozenset[str]]:
+        """Return, by mesh, the attributes that materials on it want to be worked out, where they want any."""
+        asking = {}
+        for material, (data, _) in self._materials.items():
+            names = derived_names(_attributes_of(data))
+            if names:
+                asking[material] = names
+        wanted: dict[int, frozenset[str]] = {}
+        for key, source in zip(keys, sources, strict=True) if asking else ():
+            for material in source.material_set:
+                if key is not None and material in asking:
+                    wanted[key] = wanted.get(key, frozenset()) | asking[material]
+        return wanted
 
     def _hand_over_table(self, delta: SceneDelta, table: InstanceTable) -> None:
         if self._table is None or not same_table(table, self._table):
@@ -259,10 +285,10 @@ class SceneExtractor:
         mesh_report = self._mesh_reports[key] = Report()
         owner, slot_count = f"object '{source.name}'", len(source.material_set)
         if not source.data.is_editmode:
-            return extract_mesh(source.data, owner, slot_count, mesh_report)
+            return extract_mesh(source.data, owner, slot_count, mesh_report, self._derived[key])
         # In edit mode the evaluated mesh has no arrays of its own.
         try:
-            return extract_mesh(source.owner.to_mesh(), owner, slot_count, mesh_report)
+            return extract_mesh(source.owner.to_mesh(), owner, slot_count, mesh_report, self._derived[key])
         finally:
             source.owner.to_mesh_clear()
 
@@ -280,7 +306,7 @@ class SceneExtractor:
             lamps[index] = extract_light(
                 source.data, gathered.transforms[index].copy(), placement.visibility,
                 self._light_shader(source.data, changes, images), f"light '{source.name}'", self._walk_report,
-                source.light_group, gathered.linking.number(source.receivers))
+                source.light_group, gathered.linking.numbers(source.links))
         self._object_lights = [light for light in lamps.values() if light is not None]
         return lamps
 
@@ -358,6 +384,11 @@ def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
     """Return the shader AOVs that a final render's view layer asks for, by the engine's names of their passes."""
     asked = depsgraph.view_layer_eval.aovs if depsgraph.mode == 'RENDER' else ()
     return tuple(aov_source(aov) for aov in asked if aov.is_valid)
+
+
+def _attributes_of(data: MaterialData) -> list[str]:
+    """Return what any program of a material reads."""
+    return [name for program in (data.program, *data.aovs.values()) for name in program.attributes]
 
 
 def _working_space() -> str:

@@ -78,7 +78,7 @@ finish(bits={uids[key[0]] if isinstance(key, tuple) else uids[key]: int(table.re
 
 
 def test_what_is_left_out_is_named(run_extraction):
-    """Name lamps beyond the 31st set, and shadow linking by each object that has it."""
+    """Name lamps beyond the 31st set, of receivers or of what casts shadows."""
     result = run_extraction(SCENE + r'''
 for i in range(33):
     target = link(f"Target {i:02}", mesh)
@@ -86,14 +86,19 @@ for i in range(33):
     light.light_linking.receiver_collection = collection(f"For {i:02}", include=(target,))
 a.light_linking.blocker_collection = collection("Blockers", include=(b,))
 delta, report, _ = extract_all()
-finish(lamps=lamps(delta), text=report.text().splitlines())
+table = delta.instances
+finish(lamps=lamps(delta), text=report.text().splitlines(), blocked=dict(zip(names(table), table.blocked_by.tolist())),
+       spared=sorted(name for name, spared in zip(names(table), table.spared.tolist()) if spared))
 ''')
     left_out = {name for name, number in result["lamps"].items() if number == 0} - {"Lamp", "Sun"}
-    assert sorted(result["lamps"].values()) == [0] * 4 + list(range(1, 32)) and len(left_out) == 2
+    # One number is that of what casts A's shadows.
+    assert len(left_out) == 3 and sorted(result["lamps"].values())[:5] == [0] * 5
+    assert sorted([*result["lamps"].values(), result["blocked"]["A"]])[5:] == list(range(1, 32))
+    assert result["blocked"]["A"] > 0 and result["blocked"]["B"] == 0
+    assert result["spared"] == sorted({"A", "C", *(name for name in result["spared"] if name.startswith("Target"))})
     assert result["text"] == sorted(
-        ["approximated: object 'A': shadow linking is not drawn in this version: everything shades its light",
-         *(f"approximated: object '{name}': lights everything: light linking knows 31 different sets of receivers in a "
-           "scene" for name in left_out)])
+        f"approximated: object '{name}': lights everything, or everything casts its shadows: light linking knows 31 "
+        "different sets in a scene" for name in left_out)
 
 
 def test_edits_of_links_are_noticed(run_extraction):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light linking against Cycles: what reaches each object of small scenes, by both integrators.
+"""Light and shadow linking against Cycles: what reaches each object of small scenes, by both integrators.
 
 Objects are told apart by their pass index; means are over the pixels whose neighbours show the same object.
 """
@@ -73,6 +73,9 @@ def collect(name, include=(), exclude=()):
 
 def only(item, *include, exclude=()):
     item.light_linking.receiver_collection = collect("for " + item.name, include, exclude)
+
+def shaded(item, *include, exclude=()):
+    item.light_linking.blocker_collection = collect("shadows of " + item.name, include, exclude)
 
 def look(location, target):
     camera = place("Camera", bpy.data.cameras.new("Camera"), location)
@@ -168,6 +171,30 @@ area.rotation_euler = (mathutils.Vector((0.0, -1.2, -0.8))).to_track_quat('-Z', 
 under = lamp("under", 'AREA', (0.2, 0.4, 1.0), 20.0, (1.3, 0.3, -1.5), rotation=(3.1416, 0.0, 0.0), size=3.0)
 for light in (area, under):
     only(light, *items[:3])
+look((0.0, -4.0, 2.6), (0.0, 0.1, 0.2))
+''',
+    # No light of these is for some objects alone: Cycles then counts that of area lamps with such shadows twice.
+    "shadows of some objects": r'''
+grey, dark = material("grey"), material("dark", (0.05, 0.05, 0.05))
+floor = square("floor", (0.0, 0.0, 0.0), grey, size=4.0)
+bars = [square(f"bar {i}", (0.8 * i - 0.8, 0.2, 0.5), dark, size=0.5, rotation=(0.3, 0.2, 0.4 * i)) for i in range(3)]
+red = lamp("red", 'POINT', (1.0, 0.1, 0.0), 60.0, (-0.3, -0.4, 2.0), shadow_soft_size=0.2)
+green = lamp("green", 'AREA', (0.0, 1.0, 0.1), 40.0, (0.5, -0.4, 2.0), size=0.5)
+sun = lamp("sun", 'SUN', (0.1, 0.1, 1.0), 1.0, (0.0, 0.0, 3.0), rotation=(0.3, 0.2, 0.0), angle=0.1)
+shaded(red, bars[0], bars[1])
+shaded(green, exclude=(bars[1],))
+shaded(sun, collect("all bars", include=bars), exclude=(bars[0],))
+look((0.0, -4.0, 3.2), (0.0, 0.2, 0.3))
+''',
+    "shadows of an emissive mesh, and glossy floors": r'''
+dark = material("dark", (0.05, 0.05, 0.05))
+rough, plain = material("rough", Metallic=1.0, Roughness=0.35), material("plain")
+left, right = square("left", (-1.0, 0.0, 0.0), rough, size=1.9), square("right", (1.0, 0.0, 0.0), plain, size=1.9)
+bars = [square(f"bar {i}", (1.4 * i - 0.7, 0.3, 0.6), dark, size=0.7, rotation=(0.9, 0.0, 0.0)) for i in range(2)]
+glow = material("glow", Emission_Color=(1.0, 0.6, 0.2, 1.0), Emission_Strength=4.0)
+panel = square("panel", (0.0, 1.6, 1.4), glow, size=2.6, rotation=(1.9, 0.0, 0.0))
+area = lamp("area", 'AREA', (0.2, 0.4, 1.0), 40.0, (0.0, 1.4, 2.2), rotation=(-0.6, 0.0, 0.0), size=1.0)
+shaded(panel, bars[0])
 look((0.0, -4.0, 2.6), (0.0, 0.1, 0.2))
 ''',
 }

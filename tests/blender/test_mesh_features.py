@@ -62,8 +62,8 @@ for half in (0, 1):
     first = len(vertices)
     vertices += [(x / 7, (y + 7 * half) / 7, 0.15 * np.sin(x * 1.3) * np.cos((y + 7 * half) * 1.1))
                  for y in range(8) for x in range(side)]
-    faces += [(first + y * side + x, first + y * side + x + 1, first + (y + 1) * side + x + 1, first + (y + 1) * side + x)
-              for y in range(7) for x in range(side - 1)]
+    faces += [(corner, corner + 1, corner + side + 1, corner + side)
+              for y in range(7) for corner in range(first + y * side, first + y * side + side - 1)]
 bumps = bpy.data.meshes.new("bumps")
 bumps.from_pydata(vertices, [], faces)
 place("bumps", bumps, shining("Pointiness"), 0.2)
