@@ -180,7 +180,8 @@ class FinalRender:
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
                                   cancelled=self.engine.test_break)
-        self.facts = scene_facts(extractor.materials(), extractor.linked_materials(), extractor.world)
+        self.facts = scene_facts(
+            extractor.materials(), extractor.linked_materials(), extractor.world, catchers=extractor.has_catchers)
         session.update(delta, self.progress.stage)
         self.mesh_keys = extractor.mesh_keys() if self.others else {}
         # Markers change the scene's camera from frame to frame.

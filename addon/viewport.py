@@ -107,7 +107,8 @@ class Viewport:
         delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data)
         if delta.full or delta.materials or delta.instances is not None:
             self._facts = scene_facts(
-                self._extractor.materials(), self._extractor.linked_materials(), self._extractor.world)
+                self._extractor.materials(), self._extractor.linked_materials(), self._extractor.world,
+                catchers=self._extractor.has_catchers)
         if not is_empty(delta):
             self._worker.post_scene(delta)
             start_timer()

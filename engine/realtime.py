@@ -207,9 +207,12 @@ class Realtime:
         return self._resolved
 
 
-def settings_for(settings: RenderSettings, camera: CameraData) -> RenderSettings:
-    """Return the settings with which a camera's pictures are made: real-time frames project and reproject."""
-    if settings.sampling.integrator != Integrator.REALTIME or not camera.panoramic:
+def settings_for(settings: RenderSettings, camera: CameraData, *, traced: bool = False) -> RenderSettings:
+    """Return the settings with which a camera's pictures are made: real-time frames project and reproject.
+
+    `traced`: whether the scene has what frames don't know.
+    """
+    if settings.sampling.integrator != Integrator.REALTIME or not (camera.panoramic or traced):
         return settings
     return replace(settings, sampling=replace(settings.sampling, integrator=Integrator.REFERENCE))
 

@@ -37,12 +37,22 @@ class SceneFacts:
     """Volumes, the world's included"""
     linked_unsampled: int = 0
     """Emission that is not sampled as light, of objects that light some objects alone"""
+    catchers: bool = False
+    """Whether there are shadow catchers"""
 
 
 def scene_facts(
-    materials: Iterable[MaterialData], linked: Iterable[MaterialData] = (), world: WorldData | None = None,
+    materials: Iterable[MaterialData], linked: Iterable[MaterialData] = (), world: WorldData | None = None, *,
+    catchers: bool = False,
 ) -> SceneFacts:
-    """Return the facts about all materials in a scene; `linked`: those of objects that light some objects alone."""
+    """Return the facts about a scene.
+
+    Args:
+        materials: All of them.
+        linked: Those of objects that light some objects alone.
+        world: Its world.
+        catchers: Whether there are shadow catchers.
+    """
     counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "media": int(bool(world and world.medium))}
     reflective = []
     for material in materials:
@@ -55,7 +65,7 @@ def scene_facts(
         if lobes:
             reflective.append(max(lobes))
     unsampled = sum(material.has_emission and not material.emission_sampling for material in linked)
-    return SceneFacts(reflective=tuple(reflective), linked_unsampled=unsampled, **counts)
+    return SceneFacts(reflective=tuple(reflective), linked_unsampled=unsampled, catchers=catchers, **counts)
 
 
 def realtime_approximations(
@@ -73,9 +83,9 @@ def realtime_approximations(
         blurred: Whether the picture is a mean over moments; no frames either.
     """
     report = Report()
-    if (panoramic or blurred) and settings.sampling.integrator == Integrator.REALTIME:
+    if (panoramic or blurred or facts.catchers) and settings.sampling.integrator == Integrator.REALTIME:
         without = ", without debug views" if settings.debug.view else ""
-        what = "panoramic cameras are" if panoramic else "motion blur is"
+        what = "panoramic cameras are" if panoramic else "motion blur is" if blurred else "shadow catchers are"
         report.add(ReportKind.INFO, "", f"{what} path-traced{without}")
         return report
     if settings.sampling.integrator != Integrator.REALTIME or settings.debug.view:

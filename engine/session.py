@@ -15,7 +15,6 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ..kernels import film
 from ..kernels.paths import Options
 from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
@@ -27,6 +26,7 @@ from .passes.final_denoise import FinalDenoise
 from .passes.first_hits import FirstHits
 from .passes.path_light import is_light_pass
 from .passes.reference import FilmBuffers, ReferencePass
+from .passes.shadow_catcher import ShadowCatchers
 from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
@@ -119,6 +119,7 @@ class Session:
             structure=scene.structures.description, times=dict(scene.times, **delta.extra.get("times", {})))
         self.stats.device_bytes = self._memory()
         changes = scene.changes
+        self._pass.note_scene()
         if not changes.followed:
             self._set_frame()
         # Averages of light so much brighter would glow for hundreds of frames. Without any light they may fade: what is
@@ -145,6 +146,7 @@ class Session:
         self._scene.apply(delta, self.settings.performance)
         # What is odd at each moment is odd once.
         self._scene.report.counts |= known
+        self._pass.note_scene()
         self._camera = camera
         self._set_frame()
         self.first_hits.reset()
@@ -162,8 +164,8 @@ class Session:
         """Set what to render; anything that invalidates the samples forgets them.
 
         Args:
-            settings: All settings; the device must be the session's. Panoramic cameras know no real-time frames: they
-                get the reference integrator.
+            settings: All settings; the device must be the session's. Panoramic cameras and shadow catchers know no
+                real-time frames: they get the reference integrator.
             camera: In world space.
             width: Of the full frame [px].
             height: Of the full frame [px].
@@ -177,14 +179,15 @@ class Session:
         crop = crop or (0, 0, width, height)
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
-        settings = settings_for(settings, camera)
+        catchers = self._scene.table is not None and self._scene.table.has_catchers
+        settings = settings_for(settings, camera, traced=catchers)
         change = change_since(settings, self.settings)
         if settings.performance.opacity_maps != self.settings.performance.opacity_maps:
             self._scene.use_opacity_maps(settings.performance.opacity_maps)
         traced = settings.sampling.integrator == Integrator.REFERENCE
         light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
         extra = any(name in PASSES and name not in ("Combined", *light) for name in passes)
-        key = (crop[2] * crop[3], extra, settings.sampling.integrator, light if traced else ())
+        key = (crop[2] * crop[3], extra, settings.sampling.integrator, catchers, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
         view = camera, (width, height, crop)
@@ -199,6 +202,7 @@ class Session:
             if change & Change.RESIZE:
                 self._film = None
                 self._film = FilmBuffers.make(key[0], extra, self.device, key[-1])
+                self._pass.catchers = ShadowCatchers(self.device) if catchers else None
                 self._pass.resize(key[0], extra, self._film.light)
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
@@ -239,6 +243,8 @@ class Session:
     def _trace(self, target: int, stop: Callable[[], bool]) -> None:
         self._film.light.prepare(self._scene)
         self._pass.media = self._scene.media and self._scene.media.struct
+        if self._pass.catchers is not None:
+            self._pass.catchers.prepare(self._scene, self._film.pixel_count, self._options(False))
         self._pass.render(
             self._scene.scene, self._frame, self._options(self._film.passes), self._filter, self._film, target, stop)
 
@@ -317,11 +323,8 @@ class Session:
         """Return the Combined picture on the device: vec4 [h * w], valid until the next call."""
         if self._realtime is not None:
             return self._realtime.picture()
-        wp.launch(
-            film.resolve_color, self._film.pixel_count,
-            [self._film.film, int(self.settings.film.transparent)], [self._film.picture], device=self.device)
         self._sampling_report = self._film.oddities(self._scene.structures.has_filtered)
-        return self._film.picture
+        return self._pass.resolve(self._film, self.settings.film.transparent, self.settings.film.exposure)
 
     def guides(self) -> tuple[wp.array, wp.array]:
         """Return albedo, 0..1, and normal of what pixels show, as read_denoised() uses them: vec3 [h * w] each."""
@@ -344,7 +347,7 @@ class Session:
             OutOfDeviceMemory: What it needs beside the picture does not fit.
         """
         start, (width, height) = time.perf_counter(), self._size[2][2:]
-        traced, picture = (self._pass, self._film), None
+        traced, picture = (self._pass, self._film), None if self._pass.catchers is None else self.resolve()
         if self._realtime is not None:
             traced = self._realtime.samples()
             picture = self._realtime.picture() if self._realtime.frames > 0 else None

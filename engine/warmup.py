@@ -117,6 +117,7 @@ from ..kernels import (
     reflection_upscale,
     reproject,
     rest_blend,
+    shadow_catcher,
     shadow_layers,
     shadow_layers_lean,
     shadow_lights,
@@ -134,9 +135,9 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    film, display, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten, cluster_tree,
-    tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, opacity_maps, opacity_answers, decided_layers,
-    lobe_moments,
+    film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
+    cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, opacity_maps, opacity_answers,
+    decided_layers, lobe_moments,
     antialias, cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade, cache_spread, composite,
     composite_debug, denoise_debug, gather_blend, gather_temporal, probe_contact, diffuse_blur, diffuse_temporal,
     direct_atrous, direct_candidates, direct_change, direct_debug, direct_emitters, direct_shadow, direct_temporal,

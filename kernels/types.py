@@ -24,6 +24,7 @@ VISIBLE_TRANSMISSION = wp.constant(8)
 VISIBLE_SHADOW = wp.constant(16)
 VISIBLE_VOLUME = wp.constant(32)
 HOLDOUT = wp.constant(64)
+SHADOW_CATCHER = wp.constant(128)
 LINK_SHIFT = wp.constant(8)
 """The bits from here on number the set of objects that a light is for; 0: everything. See light_linking.py"""
 

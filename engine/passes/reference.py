@@ -39,6 +39,7 @@ from ..report import Report, ReportKind
 from ..structures import is_flat
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
+from .shadow_catcher import ShadowCatchers
 from .shadow_steps import shadow_steps
 from .subsurface import below_step, exit_steps
 from .wavefront import Step, Wavefront
@@ -165,6 +166,8 @@ class ReferencePass:
     def __init__(self, device: str):
         self.device = device
         self.cuda = wp.get_device(device).is_cuda
+        self.catchers: ShadowCatchers | None = None
+        """Where the scene has any; to be set before resize()"""
         self.bands: list[Band] = []
         self.slots: list[Wavefront] = []
         self.lock = threading.Lock()
@@ -176,7 +179,8 @@ class ReferencePass:
         limit = CPU_BAND_PATHS
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
-            room //= PATH_BYTES + MEDIA_BYTES + (light.path_bytes if light else 0)
+            room //= (PATH_BYTES + MEDIA_BYTES) * (1 if self.catchers is None else 2) + (
+                light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
@@ -194,6 +198,13 @@ class ReferencePass:
             band.samples = 0
         for slot in self.slots:
             slot.forget_rays()
+        if self.catchers is not None:
+            self.catchers.clear()
+
+    def note_scene(self) -> None:
+        """Take in that the scene has changed."""
+        if self.catchers is not None:
+            self.catchers.note_scene()
 
     @property
     def rays(self) -> int:
@@ -216,6 +227,8 @@ class ReferencePass:
         slot = Wavefront(self.capacity, self.passes, self.device)
         if self.light:
             slot.light = self.light.make_paths(slot.paths, self.capacity)
+        if self.catchers is not None:
+            slot.catching = self.catchers.make_paths(self.capacity)
         fit_media(slot, self.media)
         return slot
 
@@ -273,6 +286,15 @@ class ReferencePass:
                     band, max(1, min(self.capacity // band.count, most)), scene, frame, options, filter_table, buffers,
                     should_stop))
 
+    def resolve(self, buffers: FilmBuffers, transparent: bool, exposure: float) -> wp.array:
+        """Make the picture of a film: vec4 [pixels]."""
+        if self.catchers is not None:
+            self.catchers.resolve(buffers.film, transparent, exposure, buffers.picture)
+        else:
+            launch(film.resolve_color, buffers.pixel_count, [buffers.film, int(transparent)], [buffers.picture],
+                   self.device)
+        return buffers.picture
+
     def _trace_band(
         self, band: Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
         filter_table: wp.array, buffers: FilmBuffers, should_stop: Callable[[], bool],
@@ -284,11 +306,14 @@ class ReferencePass:
         try:
             if options.passes == 1:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
-            if slot.trace(
-                    "paths", (scene, options, slot.light and slot.light.film.scene_groups, self.media),
-                    lambda: path_steps(slot, scene, options), frame, filter_table,
-                    (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop,
-                    slot.media and (lambda total: slot.media.start(slot, scene, total))):
+            batch = frame, filter_table, (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop
+            ended = slot.trace(
+                "paths", (scene, options, slot.light and slot.light.film.scene_groups, self.media),
+                lambda: path_steps(slot, scene, options), *batch,
+                slot.media and (lambda total: slot.media.start(slot, scene, total)))
+            if ended and self.catchers is not None:
+                ended = self.catchers.trace(slot.catching, slot, path_steps, *batch)
+            if ended:
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
@@ -329,6 +354,8 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     if light:
         steps[-1:-1] = [] if media else light.steps_before_misses(scene, options)
         steps += light.steps_before_shading(scene, slot.rounds)
+    if slot.catching:
+        steps.append(slot.catching.step(scene, slot))
     steps.append(Step(reference_lean.shade_lean_paths, shading, fills=("next",)))
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))

@@ -118,6 +118,7 @@ class FakeExtractor:
     """Reads nothing: a full, empty delta first, then empty ones."""
 
     fail_in_extract = False
+    has_catchers = False
 
     def __init__(self):
         self.first = True

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shadow catchers against Cycles: a ball on a plane under a sun and a sky, with a clear film and before the world."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
+
+TIMEOUT = 1200.0
+"""The first run may have to build all kernels"""
+
+CODE = r'''
+import json, bpy, burnish, mathutils, numpy as np
+import OpenImageIO as oiio
+from burnish.addon import final
+
+device, folder = sys.argv[1], sys.argv[2]
+burnish.register()
+
+def build(kind):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("World")
+    background = scene.world.node_tree.nodes["Background"]
+    background.inputs[0].default_value, background.inputs[1].default_value = (0.3, 0.5, 0.8, 1.0), 0.6
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location = (0.0, -6.0, 3.0)
+    direction = mathutils.Vector((0.0, 0.0, 0.6)) - camera.location
+    camera.rotation_euler = direction.to_track_quat('-Z', 'Y').to_euler()
+    scene.camera = camera
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    sun.data.energy, sun.data.angle, sun.rotation_euler = 3.0, 0.05, (0.6, 0.5, 0.0)
+    scene.collection.objects.link(sun)
+    bpy.ops.mesh.primitive_plane_add(size=12)
+    plane = bpy.context.object
+    plane.is_shadow_catcher = True
+    plane.data.materials.append(bpy.data.materials.new("floor"))
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=32, ring_count=16, location=(0.0, 0.0, 1.0))
+    ball = bpy.context.object
+    bpy.ops.object.shade_smooth()
+    ball.data.materials.append(bpy.data.materials.new("ball"))
+    node = ball.data.materials[0].node_tree.nodes["Principled BSDF"]
+    node.inputs["Base Color"].default_value = (0.8, 0.1, 0.05, 1.0)
+    if kind == "mirror":
+        node.inputs["Metallic"].default_value, node.inputs["Roughness"].default_value = 1.0, 0.05
+    if kind == "wall":
+        bpy.ops.mesh.primitive_cube_add(size=2, location=(2.2, 1.0, 1.0))
+        bpy.context.object.is_shadow_catcher = True
+    return scene
+
+def picture(scene, engine, samples):
+    render = scene.render
+    render.engine, render.resolution_x, render.resolution_y = engine, 96, 60
+    settings = scene.cycles
+    settings.samples, settings.use_adaptive_sampling, settings.use_denoising = samples, False, False
+    settings.sample_clamp_indirect, settings.blur_glossy, settings.pixel_filter_type = 0, 0, 'BOX'
+    settings.max_bounces = settings.diffuse_bounces = settings.glossy_bounces = 32
+    scene.burnish.device, scene.burnish.film.pixel_filter = device, 'BOX'
+    scene.burnish.sampling.samples = samples
+    render.image_settings.file_format, render.image_settings.color_depth = 'OPEN_EXR', '32'
+    render.image_settings.color_mode = 'RGBA'
+    render.filepath = f"{folder}/{engine}.exr"
+    made = []
+    final.on_finished[:] = [lambda layer, view, pixels, information: made.append(information.report.text())]
+    bpy.ops.render.render(write_still=True)
+    return np.array(oiio.ImageBuf(render.filepath).get_pixels()), made
+
+results = {}
+for kind, transparent in (("ball", True), ("ball", False), ("mirror", True), ("wall", True), ("wall", False)):
+    scene = build(kind)
+    scene.render.film_transparent = transparent
+    ours, report = picture(scene, 'BURNISH', 96)
+    cycles, _ = picture(scene, 'CYCLES', 256)
+    results[f"{kind}, {'clear' if transparent else 'world'}"] = [
+        ours.mean((0, 1)).tolist(), cycles.mean((0, 1)).tolist(), float(np.abs(ours - cycles).mean()), report[0]]
+burnish.unregister()
+print("RESULT " + json.dumps(results))
+'''
+
+
+@pytest.fixture(scope="module")
+def results(run_python: Callable[..., subprocess.CompletedProcess], device: str,
+            tmp_path_factory: pytest.TempPathFactory) -> dict[str, list]:
+    """Return by scene both engines' means, how far pixels are from each other, and the report."""
+    chosen = "CPU" if device == "cpu" else "CUDA"
+    process = run_python(CODE, chosen, tmp_path_factory.mktemp("catcher"), timeout=TIMEOUT)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout.rpartition("RESULT ")[2])
+
+
+@pytest.mark.parametrize("name", ["ball, clear", "ball, world", "mirror, clear", "wall, clear", "wall, world"])
+def test_shadows_are_those_of_cycles(results: dict[str, list], name: str) -> None:
+    """Give every channel and alpha Cycles' mean within 2 %, sparks in mirrors aside, and pixels its values."""
+    ours, cycles, off, report = results[name]
+    np.testing.assert_allclose(ours[3], cycles[3], rtol=0.01)
+    np.testing.assert_allclose(ours, cycles, rtol=0.06 if name.startswith("mirror") else 0.02)
+    assert off < 0.01 and cycles[3] > 0.2, (off, cycles)
+    assert "path-traced" in report and "not drawn" not in report
