@@ -70,6 +70,7 @@ from ..kernels import (
     media_march,
     media_scatter,
     media_shadows,
+    mesh_islands,
     misses,
     occlusion,
     opacity_answers,
