@@ -12,13 +12,14 @@ from __future__ import annotations
 import warp as wp
 
 from .filter import MAX_LAYERS, layer_point, layer_transparency, pass_chance, step_past
-from .geometry_math import is_finite3, max_component, power_heuristic
+from .geometry_math import is_finite3, max_component, mean_component, power_heuristic
 from .intersect import MISS, Hit, closest_hit, closest_layer, surface_point
 from .lamp_hit import FAR
 from .lamp_tables import meet_lamp
 from .layers import LAYER_STREAM
 from .light_groups import GroupLight, GroupTables, add_to_group, forget_groups
 from .light_linking import lamp_counts, met_by_rays
+from .light_tree import choose_by_tree
 from .lights import lamp_chance
 from .media import (
     NO_MEDIUM,
@@ -27,6 +28,7 @@ from .media import (
     Media,
     MediaPaths,
     Mixture,
+    Pull,
     cross,
     emitted,
     load_inside,
@@ -34,6 +36,7 @@ from .media import (
     mixture_of,
     nowhere,
     passing,
+    pull_of,
     store_inside,
     walk_stretch,
 )
@@ -46,6 +49,9 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 MEDIA_STREAM = wp.constant(0x56000000)
 """Sets the numbers that scatter light apart from all other streams"""
+PULLED_BOUNCES = wp.constant(1)
+"""Up to which distances are drawn towards lights: each time what is drawn otherwise weighs up to twice as much, and
+paths of a hundred bounces in a cloud would come to weigh anything"""
 SEARCH_STEPS = wp.constant(64)
 """Boundaries at most that a search for what is about the camera meets"""
 
@@ -161,6 +167,31 @@ def gather_glow(
 
 
 @wp.func
+def pull_on(
+    scene: Scene, mixture: Mixture, origin: wp.vec3, direction: wp.vec3, length: float, u: wp.vec2,
+) -> Pull:
+    """Return the pull of one of the lights that have a place, by half of the chance that the stretch scatters light."""
+    none = Pull()
+    extinction = mean_component(mixture.extinction)
+    if max_component(mixture.scattering) <= 0.0 or scene.lights.class_count == 0:
+        return none
+    if scene.lights.weight[0] <= 0.0:
+        return none
+    depth = extinction * length
+    tree = scene.lights.tree
+    amid = origin + direction * wp.min(0.5 * length, 1.0 / extinction)
+    light = choose_by_tree(tree, amid, wp.vec3(0.0, 0.0, 0.0), u)
+    if light.entry < 0:
+        return none
+    leaf = (1 << tree.levels) + tree.places[light.entry]
+    low = tree.low[leaf]
+    high = tree.high[leaf]
+    center = wp.vec3(low[0] + high[0], low[1] + high[1], low[2] + high[2]) * 0.5
+    # Little comes from deeper in.
+    return pull_of(center - origin, direction, wp.min(length, 4.0 / extinction), 0.5 * (1.0 - wp.exp(-depth)))
+
+
+@wp.func
 def march(
     scene: Scene, options: Options, media: Media, tables: GroupTables, groups: GroupLight, kept: MediaPaths,
     paths: Paths, path: int,
@@ -203,7 +234,12 @@ def march(
         if max_component(mixture.emission) > 0.0:
             gather_glow(options, media, inside, tables, groups, paths, path, mixture, throughput, stretch)
         if max_component(mixture.extinction) > 0.0:
-            passage = walk_stretch(mixture, throughput, stretch, sample_pair(media_seed, index, layer))
+            pull = Pull()
+            if bounce <= PULLED_BOUNCES:
+                pull = pull_on(
+                    scene, mixture, origin + direction * start, direction, stretch,
+                    sample_pair(media_seed, index, 2 * layer))
+            passage = walk_stretch(mixture, throughput, stretch, pull, sample_pair(media_seed, index, 2 * layer + 1))
             throughput = wp.cw_mul(throughput, passage.weight)
             if passage.scattered == 1:
                 paths.t[path] = start + passage.t

@@ -120,6 +120,20 @@ def test_scattering_once_is_the_integral():
     assert found == pytest.approx([back, on], rel=0.05)
 
 
+def test_light_of_a_near_lamp_is_the_integral():
+    """Scatter a lamp's light towards the camera along a ray that passes it at 0.2 m; little is scattered twice."""
+    extinction, scattering, apart = 0.5, 0.01, 0.2
+    lamp = scenes.lamp("POINT", 100.0, scenes.place(x=apart))
+    medium = MediumData(extinction=(extinction,) * 3, phases=(PhaseData((scattering,) * 3),))
+    delta = boxes(medium, lights=[lamp], background=0.0)
+    found = seen(delta, 1024, half=1e-3, size=(4, 4))
+    depth = (np.arange(4000) + 0.5) / 2000.0
+    away = np.hypot(depth - 1.0, apart)
+    intensity = 100.0 / (4.0 * np.pi)
+    expected = scattering * intensity / (4.0 * np.pi) * np.mean(np.exp(-extinction * (depth + away)) / away**2) * 2.0
+    assert found == pytest.approx([expected] * 3, rel=0.02)
+
+
 def test_the_worlds_medium_hides_the_world_and_suns():
     """Keep an endless medium black where nothing shines in it, and dim what is near by its distance."""
     def foggy(medium, **more):
