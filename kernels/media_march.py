@@ -208,7 +208,12 @@ def march(
     media_seed = hash_combine(paths.seed[path], wp.uint32(bounce + MEDIA_STREAM))
     index = paths.index[path]
     opaque = load_hit(paths, path)
-    end = wp.where(opaque.instance == MISS, FAR, opaque.t)
+    end = float(FAR)
+    # A boundary in the very place of an opaque surface, as of a fog that stands on a floor, lies behind that.
+    reach = opaque.t
+    if opaque.instance != MISS:
+        end = opaque.t
+        reach = 3.0 * opaque.t - 2.0 * step_past(surface_point(scene, opaque, direction), direction, opaque.t)
     inside = load_inside(kept, path)
     throughput = paths.throughput[path]
     hit = opaque
@@ -217,7 +222,7 @@ def march(
     layer = int(0)
     going = bool(True)
     while going:
-        further = closest_layer(scene.geometry, origin + direction * look, direction, opaque.t - look)
+        further = closest_layer(scene.geometry, origin + direction * look, direction, reach - look)
         met = bool(further.hit.instance != MISS)
         hit = further.hit
         hit.t = hit.t + look
@@ -263,7 +268,7 @@ def march(
                     inside = cross(inside, hit.instance, medium, point.backfacing == 1)
                 start = hit.t
                 look = step_past(point, direction, hit.t)
-                if look >= opaque.t:
+                if look >= reach:
                     hit = opaque
                     going = False
         layer = layer + 1

@@ -179,8 +179,8 @@ class ReferencePass:
         limit = CPU_BAND_PATHS
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
-            room //= (PATH_BYTES + MEDIA_BYTES) * (1 if self.catchers is None else 2) + (
-                light.path_bytes if light else 0)
+            state = PATH_BYTES + (MEDIA_BYTES if self.media is not None else 0)
+            room //= state * (1 if self.catchers is None else 2) + (light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)

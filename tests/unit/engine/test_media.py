@@ -90,9 +90,10 @@ def test_glass_has_the_colour_of_what_is_in_it():
         np.exp([-0.2, -1.0, -4.0]), rel=0.01)
 
 
-def test_shadow_rays_are_dimmed():
-    """Light a floor through a box: 2 m of its medium are in the way, and in that of the camera."""
-    floor = ("floor", scenes.place(z=-1.5), "white")
+@pytest.mark.parametrize("height", [-1.5, -1.0], ids=["above", "on"])
+def test_shadow_rays_are_dimmed(height):
+    """Light a floor through a box above or on it: 2 m of its medium are in the way, and in that of the camera."""
+    floor = ("floor", scenes.place(z=height), "white")
     sun = scenes.lamp("SUN", 1.0)
     more = {"others": [floor], "materials": {"white": scenes.material(color=0.8)},
             "meshes": {"floor": scenes.quad(3.0)}, "lights": [sun], "background": 0.0}
