@@ -54,9 +54,11 @@ AOVS = (
 
 MATTE_SWITCHES = {kind: f"use_pass_cryptomatte_{kind.removeprefix('Crypto').lower()}" for kind in MATTE_KINDS}
 
+VOLUME_SWITCHES = {"Volume Direct": "use_pass_volume_direct", "Volume Indirect": "use_pass_volume_indirect"}
+"""Passes of the reference integrator alone, by their switches"""
+
 NOT_DRAWN = {"Subsurface Direct": "use_pass_subsurface_direct",
              "Subsurface Indirect": "use_pass_subsurface_indirect", "Subsurface Color": "use_pass_subsurface_color",
-             "Volume Direct": "use_pass_volume_direct", "Volume Indirect": "use_pass_volume_indirect",
              "Volume Scatter": "use_pass_volume_scatter", "Volume Transmit": "use_pass_volume_transmit",
              "Shadow Catcher": "use_pass_shadow_catcher"}
 """Passes that neither integrator has, by their switches: of the view layer or of Cycles' settings of it"""
@@ -78,8 +80,16 @@ def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
         elif aov.is_valid:
             yield Aov(aov.name, aov_source(aov), "RGBA", 'COLOR', "aovs")
     if integrator == Integrator.REFERENCE:
+        for name, switch in VOLUME_SWITCHES.items():
+            if has_switch(view_layer, switch):
+                yield Aov(compat.pass_name(name), name, "RGB", 'COLOR', switch)
         for name in light_groups(view_layer):
             yield Aov(f"{GROUP_PREFIX}{name}", f"{GROUP_PREFIX}{name}", "RGB", 'COLOR', "lightgroups")
+
+
+def has_switch(view_layer: Any, switch: str) -> bool:
+    """Return whether a switch of the view layer or of Cycles' settings of it is on."""
+    return any(getattr(owner, switch, False) for owner in (view_layer, getattr(view_layer, "cycles", None)))
 
 
 def aov_source(aov: Any) -> str:
@@ -98,8 +108,11 @@ def missing_passes(view_layer: Any, integrator: Integrator) -> Report:
     if groups and integrator != Integrator.REFERENCE:
         names = ", ".join(groups)
         report.add(ReportKind.SKIPPED, "", f"the light groups {names} are left out; the reference integrator has them")
+    for name, switch in VOLUME_SWITCHES.items():
+        if integrator != Integrator.REFERENCE and has_switch(view_layer, switch):
+            report.add(ReportKind.SKIPPED, "", f"the pass {name} is left out; the reference integrator has it")
     for name, switch in NOT_DRAWN.items():
-        if any(getattr(owner, switch, False) for owner in (view_layer, getattr(view_layer, "cycles", None))):
+        if has_switch(view_layer, switch):
             report.add(ReportKind.SKIPPED, "", f"the pass {name} is left out; this version does not have it")
     return report
 

@@ -190,6 +190,38 @@ def leave_out_scattered(
         split_out.direct[path] = whole
 
 
+@wp.kernel
+def accumulate_scattered(
+    # In:
+    paths: Paths,
+    scattered: wp.array[int],
+    split: LightSplit,
+    exposure: float,
+    first_pixel: int,
+    pixel_count: int,
+    sample_count: int,
+    # Out:
+    passes_out: LightPasses,
+):
+    """Add the light that a medium has scattered first, of an albedo of 1; comes before leave_out_scattered."""
+    local = wp.tid()
+    direct = wp.vec3(0.0, 0.0, 0.0)
+    indirect = wp.vec3(0.0, 0.0, 0.0)
+    count = float(0.0)
+    for sample in range(sample_count):
+        path = sample * pixel_count + local
+        whole = rgb(paths.radiance[path])
+        if is_finite3(whole):
+            count += 1.0
+            if scattered[path] == 1:
+                direct += split.direct[path] - split.seen[path]
+                indirect += whole - split.direct[path]
+    pixel = first_pixel + local
+    passes_out.direct[pixel] = passes_out.direct[pixel] + direct * exposure
+    passes_out.indirect[pixel] = passes_out.indirect[pixel] + indirect * exposure
+    passes_out.albedo[pixel] = passes_out.albedo[pixel] + wp.vec4(count, count, count, count)
+
+
 @wp.func
 def lobe_share(share: wp.vec4, lobe: int) -> wp.vec3:
     """Return the share of a path's light that a lobe (PASS_*) has; those of all three add up to 1."""

@@ -28,7 +28,6 @@ from .media import (
     Media,
     MediaPaths,
     Mixture,
-    Pull,
     cross,
     emitted,
     load_inside,
@@ -36,10 +35,9 @@ from .media import (
     mixture_of,
     nowhere,
     passing,
-    pull_of,
     store_inside,
-    walk_stretch,
 )
+from .media_distance import Pull, pull_of, walk_stretch
 from .packing import rgb
 from .paths import ENDED, Options, Paths, add_light, clamp_light, limit_at, load_hit, store_hit
 from .sampling import hash_combine, sample_number, sample_pair

@@ -55,10 +55,15 @@ class PathMedia:
         return Step(media_scatter.scatter_paths, [*shading, self.media, self.kept, rounds], over="scattered",
                     fills=("next",))
 
-    def finish_light(self, light: PathLight, count: int) -> None:
-        """Keep what `count` finished paths have of media out of the passes of surfaces' light."""
+    def finish_light(self, light: PathLight, exposure: float, first: int, count: int, samples: int) -> None:
+        """Add what media have of the light of finished paths to the passes of volumes, and keep it out of surfaces'.
+
+        The paths are those of `count` pixels from `first` on, `samples` each.
+        """
         if light.split is not None:
-            launch(light_split.leave_out_scattered, count, [light.paths, self.kept.first], [light.split], self.device)
+            light.film.volume.add(light.paths, self.kept.first, light.split, exposure, first, count, samples)
+            launch(light_split.leave_out_scattered, count * samples, [light.paths, self.kept.first], [light.split],
+                   self.device)
 
     def shadow_steps(self, slot: Wavefront, scene: Scene, options: Options, over: str = "living") -> list[Step]:
         """Return what traces the shadow rays of the paths of a list and adds their light."""

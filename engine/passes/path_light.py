@@ -21,6 +21,7 @@ from . import light_split
 from .composite import LIGHT_PASSES
 from .light_groups import GroupFilm, SceneGroups, make_group_light
 from .light_split import SPLIT_BYTES, LobeFilm, make_split
+from .media_light import VOLUME_PASSES, VolumeFilm
 from .wavefront import Step
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ __all__ = ["LightFilm", "PathLight", "is_light_pass"]
 
 
 def is_light_pass(name: str) -> bool:
-    """Tell whether a pass is one of light: by lobes or of a group."""
-    return name in LIGHT_PASSES or name.startswith(GROUP_PREFIX)
+    """Tell whether a pass is one of light: by lobes, of volumes or of a group."""
+    return name in LIGHT_PASSES or name in VOLUME_PASSES or name.startswith(GROUP_PREFIX)
 
 
 class LightFilm:
@@ -42,16 +43,22 @@ class LightFilm:
         passes = tuple(passes)
         self.device = device
         self.lobes = LobeFilm(passes, pixel_count, device)
+        self.volume = VolumeFilm(passes, pixel_count, device)
         self.groups = GroupFilm(passes, pixel_count, device)
         self.scene_groups: SceneGroups | None = None
 
     def __bool__(self) -> bool:
-        return bool(self.lobes.asked or self.groups.names)
+        return bool(self.splits or self.groups.names)
+
+    @property
+    def splits(self) -> bool:
+        """Return whether paths' light is told apart by what they meet first."""
+        return self.lobes.asked or self.volume.asked
 
     @property
     def path_bytes(self) -> int:
         """Return the memory that one path takes."""
-        return (SPLIT_BYTES if self.lobes.asked else 0) + self.groups.path_bytes
+        return (SPLIT_BYTES if self.splits else 0) + self.groups.path_bytes
 
     def prepare(self, scene: DeviceScene) -> None:
         """Take in the scene before samples are added."""
@@ -62,13 +69,14 @@ class LightFilm:
     def clear(self) -> None:
         """Forget all samples."""
         self.lobes.clear()
+        self.volume.clear()
         self.groups.clear()
 
     def make_paths(self, paths: Paths, capacity: int) -> PathLight:
         """Return what a batch of up to `capacity` paths keeps."""
         names = self.groups.names
         return PathLight(
-            self, paths, make_split(capacity, self.device) if self.lobes.asked else None,
+            self, paths, make_split(capacity, self.device) if self.splits else None,
             make_group_light(len(names), capacity, self.device) if names else None)
 
     def add(self, kept: PathLight, exposure: float, first: int, count: int, samples: int) -> None:
@@ -82,7 +90,8 @@ class LightFilm:
         Raises:
             KeyError: It was not asked for.
         """
-        return self.groups.read(name) if name.startswith(GROUP_PREFIX) else self.lobes.read(name)
+        film = self.volume if name in VOLUME_PASSES else self.lobes
+        return self.groups.read(name) if name.startswith(GROUP_PREFIX) else film.read(name)
 
 
 @dataclass

@@ -319,7 +319,7 @@ class ReferencePass:
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
                 if buffers.light:
                     if slot.media:
-                        slot.media.finish_light(slot.light, band.count * count)
+                        slot.media.finish_light(slot.light, options.exposure, band.first, band.count, count)
                     buffers.light.add(slot.light, options.exposure, band.first, band.count, count)
                 band.samples += count
             if self.cuda:

@@ -10,8 +10,9 @@ import pytest
 from burnish.engine.media import MediumData, PhaseData
 from burnish.engine.passes import wavefront
 from burnish.engine.passes.composite import LIGHT_PASSES
+from burnish.engine.passes.media_light import VOLUME_PASSES
 from burnish.engine.session import Session
-from burnish.engine.settings import Integrator
+from burnish.engine.settings import Integrator, LightPathSettings
 
 from tests import scenes
 
@@ -198,9 +199,33 @@ def test_light_passes_leave_media_to_the_picture():
     np.testing.assert_allclose(sum_of(session), combined[..., :3], rtol=2e-5, atol=2e-5)
     np.testing.assert_array_equal(combined, shot(thin, 4, 0.8).read())
     # Nothing behind a thick cloud is seen: all light is the medium's.
-    session = shot(lit_scene(cloud(1e4)), 4, 0.3, PASSES)
-    assert session.read()[..., :3].min() > 0.05
+    session = shot(lit_scene(cloud(1e4)), 4, 0.3, (*PASSES, *VOLUME_PASSES))
+    direct, indirect = (session.read(name) for name in VOLUME_PASSES)
+    assert direct.min() >= 0.0 and indirect.mean() > 0.05
     assert sum_of(session).max() < 1e-5
+    np.testing.assert_allclose(direct + indirect, session.read()[..., :3], rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.parametrize("passes", [VOLUME_PASSES, (*PASSES, *VOLUME_PASSES)], ids=["alone", "all"])
+def test_volume_passes_complete_the_picture(passes):
+    """Find in them what surfaces' passes lack: direct light is that after one scattering; none without a medium."""
+    medium = cloud(0.7, 0.3, (0.9, 0.6, 0.3))
+    session = shot(lit_scene(medium), 16, 0.8, ("Combined", *passes))
+    volume = sum(session.read(name) for name in VOLUME_PASSES)
+    np.testing.assert_array_equal(session.read(), shot(lit_scene(medium), 16, 0.8).read())
+    if len(passes) > 2:
+        total = volume + session.read("Emission") + session.read("Environment")
+        for lobe in ("Diffuse", "Glossy", "Transmission"):
+            light = session.read(f"{lobe} Direct") + session.read(f"{lobe} Indirect")
+            total = total + light * session.read(f"{lobe} Color")
+        np.testing.assert_allclose(total, session.read()[..., :3], rtol=2e-4, atol=2e-5)
+    limited = dataclasses.replace(scenes.SETTINGS, light_paths=LightPathSettings(max_bounces=1))
+    once = shot(lit_scene(medium), 256, 0.8, ("Combined", *VOLUME_PASSES), settings=limited)
+    many = shot(lit_scene(medium), 256, 0.8, ("Combined", *VOLUME_PASSES))
+    assert once.read("Volume Direct").mean() == pytest.approx(many.read("Volume Direct").mean(), rel=0.01)
+    assert once.read("Volume Indirect").max() == 0.0 < many.read("Volume Indirect").mean()
+    without = shot(lit_scene(MediumData()), 2, 0.8, ("Combined", *VOLUME_PASSES))
+    assert all(without.read(name).max() == 0.0 for name in VOLUME_PASSES)
 
 
 @pytest.mark.parametrize("medium", [cloud(2.0, 0.3), absorber(0.5, 1.0, 2.0)], ids=["scattering", "absorbing"])
