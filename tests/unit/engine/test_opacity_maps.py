@@ -49,7 +49,7 @@ def ask_materials(
     hit.triangle = faces[i][1]
     hit.u = weights[i][0]
     hit.v = weights[i][1]
-    transparency_out[i] = lean_transparency(scene, surface_point(scene, hit, DOWN), VISIBLE_SHADOW)
+    transparency_out[i] = lean_transparency(scene, surface_point(scene, hit, DOWN), VISIBLE_SHADOW, 0)
 
 
 @wp.kernel
