@@ -116,7 +116,8 @@ def _is_same_for_all(program: Program) -> bool:
     No camera ray takes a texel's mean, and the table is baked for rays of no kind.
     """
     inputs = [(head >> 16 & 255, mask) for head, _, mask, _ in program.surface if head & 255 == node_codes.OP_INPUT]
-    of_path = (int(node_codes.INPUT_RAY_LENGTH), int(node_codes.INPUT_RAY_DEPTH))
+    of_path = tuple(int(code) for code in (
+        node_codes.INPUT_RAY_LENGTH, node_codes.INPUT_RAY_DEPTH, node_codes.INPUT_KIND_DEPTH))
     return not program.uses_camera and not any(
         kind in of_path or kind == int(node_codes.INPUT_RAY_KIND) and mask != int(Visibility.CAMERA)
         for kind, mask in inputs)

@@ -29,7 +29,7 @@ MOVED = {codes.INPUT_POSITION, codes.INPUT_SCENE_POSITION, codes.INPUT_OBJECT_LO
 TURNED = {codes.INPUT_NORMAL, codes.INPUT_TRUE_NORMAL, *DIRECTIONS, *MOVED}
 """The same where it is turned"""
 TO_OBJECT = {codes.SPACE_DIRECTION_TO_OBJECT, codes.SPACE_NORMAL_TO_OBJECT}
-RAYS = {codes.INPUT_RAY_KIND, codes.INPUT_RAY_DEPTH, codes.INPUT_WINDOW}
+RAYS = {codes.INPUT_RAY_KIND, codes.INPUT_RAY_DEPTH, codes.INPUT_KIND_DEPTH, codes.INPUT_WINDOW}
 
 NEARLY_FLAT = 0.497 * math.pi
 """Largest angle with a spot's axis [rad]"""

@@ -175,7 +175,7 @@ class ProgramBuilder:
         return self.color("LUMINANCE", color)
 
     def input(self, name: str, mask: int = 0) -> Value:
-        """Return an input without a name of its own (codes.INPUT_*); `mask` is for RAY_KIND."""
+        """Return an input without a name of its own (codes.INPUT_*); `mask` is for RAY_KIND and KIND_DEPTH."""
         self.uses_camera |= name == "WINDOW"
         return self._add(codes.OP_INPUT, operation_code("INPUT", name), (0.0,), (mask, 0))
 
@@ -191,6 +191,10 @@ class ProgramBuilder:
         """Return a property of the object, or of what made an instance of it: as `attribute`."""
         number = index_of(self.attributes, property_name(name, instancer=instancer))
         return self._add(codes.OP_INPUT, codes.INPUT_PROPERTY, (0.0,), (number, 0))
+
+    def wireframe(self, size) -> Value:
+        """Return 1 within half of `size` [m] of an edge of the triangle, else 0."""
+        return self._add(codes.OP_INPUT, codes.INPUT_WIREFRAME, (size,), (0, 0))
 
     def uv_tangent(self, uv_map: str, tangent_attribute: str) -> Value:
         """Return the world-space tangent along u of a UV map."""

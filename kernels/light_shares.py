@@ -107,10 +107,10 @@ def share_of(bsdf: Bsdf, wo: wp.vec3, wi: wp.vec3, visibility: int, fallback: wp
 @wp.func
 def drawn_share(bsdf: Bsdf, kind: int) -> wp.vec4:
     """Return the share of light along a ray by the kind of lobe it was drawn from."""
-    if kind == VISIBLE_GLOSSY:
+    if (kind & VISIBLE_GLOSSY) != 0:
         return wp.vec4(0.0, 0.0, 0.0, 1.0)
     # What passes diffusely counts as diffuse.
-    if kind == VISIBLE_TRANSMISSION and bsdf.pick_glass > 0.0:
+    if (kind & VISIBLE_TRANSMISSION) != 0 and bsdf.pick_glass > 0.0:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     return wp.vec4(1.0, 1.0, 1.0, 1.0)
 

@@ -221,6 +221,10 @@ INPUT_SCENE_POSITION = wp.constant(25)
 """Position relative to the scene's origin"""
 INPUT_PROPERTY = wp.constant(26)
 """A property of the object or its instancer (engine/object_properties.py)"""
+INPUT_KIND_DEPTH = wp.constant(27)
+"""How many rays of the kind that is the immediate (a VISIBLE_* bit) the path has had, up to DEPTH_MASK"""
+INPUT_WIREFRAME = wp.constant(28)
+"""1 within half the operand of an edge of the triangle"""
 INPUT_SHIFT_X = wp.constant(1 << 8)
 INPUT_SHIFT_Y = wp.constant(2 << 8)
 

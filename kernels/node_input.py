@@ -11,7 +11,17 @@ import warp as wp
 
 from . import node_codes as codes
 from .geometry_math import normalize_or, orthonormal_tangent, transform_direction, transform_normal, transform_point
-from .types import Instance, Scene, ShadingPoint
+from .types import (
+    DEPTH_BITS,
+    DEPTH_MASK,
+    DEPTH_SHIFT,
+    VISIBLE_DIFFUSE,
+    VISIBLE_GLOSSY,
+    VISIBLE_TRANSMISSION,
+    Instance,
+    Scene,
+    ShadingPoint,
+)
 from .wide_loads import load_corner, load_normal, load_vec2, load_vec4
 
 
@@ -235,6 +245,51 @@ def property_value(scene: Scene, instance: int, number: int) -> wp.vec4:
 
 
 @wp.func
+def depth_place(kind: int) -> int:
+    """Return the lowest bit of a path's kind that counts its rays of a kind."""
+    place = int(DEPTH_SHIFT)
+    if (kind & VISIBLE_GLOSSY) != 0:
+        place = DEPTH_SHIFT + DEPTH_BITS
+    elif (kind & VISIBLE_TRANSMISSION) != 0:
+        place = DEPTH_SHIFT + 2 * DEPTH_BITS
+    return place
+
+
+@wp.func
+def deeper(before: int, kind: int) -> int:
+    """Return the kind of a path's next ray, with the numbers of rays by kind."""
+    numbers = (before >> DEPTH_SHIFT) << DEPTH_SHIFT
+    place = depth_place(kind)
+    if ((numbers >> place) & DEPTH_MASK) < DEPTH_MASK:
+        numbers = numbers + (1 << place)
+    return numbers | (kind & (VISIBLE_DIFFUSE | VISIBLE_GLOSSY | VISIBLE_TRANSMISSION))
+
+
+@wp.func
+def kind_depth(point: ShadingPoint, kind: int) -> float:
+    """Return how many rays of a kind led to a point: in real-time frames the ray's depth while it is of that kind."""
+    number = float((point.ray_visibility >> depth_place(kind)) & DEPTH_MASK)
+    if number == 0.0 and (point.ray_visibility & kind) != 0:
+        number = float(point.ray_depth)
+    return number
+
+
+@wp.func
+def wireframe(scene: Scene, point: ShadingPoint, size: float) -> float:
+    """Return whether a point is within half of `size` of an edge of its triangle, as Cycles has it."""
+    instance = scene.geometry.instances[point.instance]
+    near = float(0.0)
+    limit = 0.25 * size * size
+    for corner in range(3):
+        a = transform_point(instance.to_world, load_corner(scene.geometry, point.triangle, corner))
+        b = transform_point(instance.to_world, load_corner(scene.geometry, point.triangle, (corner + 1) % 3))
+        edge = b - a
+        if wp.length_sq(wp.cross(edge, point.position - a)) < limit * wp.length_sq(edge):
+            near = 1.0
+    return near
+
+
+@wp.func
 def ray_input(point: ShadingPoint, kind: int, mask: int) -> wp.vec4:
     """Return what the Light Path node tells about the ray that arrived."""
     x = float(0.0)
@@ -242,6 +297,8 @@ def ray_input(point: ShadingPoint, kind: int, mask: int) -> wp.vec4:
         x = wp.where((point.ray_visibility & mask) != 0, 1.0, 0.0)
     elif kind == codes.INPUT_RAY_LENGTH:
         x = point.ray_length
+    elif kind == codes.INPUT_KIND_DEPTH:
+        x = kind_depth(point, mask)
     else:
         x = float(point.ray_depth)
     return wp.vec4(x, x, x, 0.0)
@@ -255,7 +312,7 @@ def input_value(scene: Scene, hit: ShadingPoint, sub: int, bump_width: float, fi
         scene: The scene.
         hit: The shading point.
         sub: Kind in the low byte, bump offset in bits 8-9.
-        bump_width: Length of the bump offset in footprints.
+        bump_width: Length of the bump offset in footprints; width of lines.
         first: UV map, attribute, property or mask of ray kinds.
         second: Tangent attribute or -1.
     """
@@ -264,6 +321,11 @@ def input_value(scene: Scene, hit: ShadingPoint, sub: int, bump_width: float, fi
         return wp.vec4(hit.position[0], hit.position[1], hit.position[2], 0.0)
     if kind == codes.INPUT_PROPERTY:
         return property_value(scene, hit.instance, first)
+    if kind == codes.INPUT_WIREFRAME:
+        edge = float(0.0)
+        if hit.instance >= 0:
+            edge = wireframe(scene, hit, bump_width)
+        return wp.vec4(edge, edge, edge, 0.0)
     if kind >= codes.INPUT_RAY_KIND:
         return ray_input(hit, kind, first)
     if hit.instance < 0:

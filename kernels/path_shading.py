@@ -22,6 +22,7 @@ from .light_linking import (
     note_receiver,
 )
 from .lights import class_total, emitter_pdf, sample_light_of
+from .node_input import deeper
 from .paths import (
     LONG_PATH,
     PENDING_NONE,
@@ -287,7 +288,7 @@ def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Pa
     paths.t[path] = FAR
     paths.pdf[path] = wp.where(sample.delta == 1, 0.0, sample.pdf)
     paths.side[path] = front_of(bsdf)
-    paths.kind[path] = sample.kind
+    paths.kind[path] = deeper(point.ray_visibility, sample.kind)
     # The cone is not widened by the lobe: blurring over it would average in parts of a texture atlas that the
     # surface does not show, and flatten normal maps.
     paths.cone[path] = wp.vec2(point.footprint, paths.cone[path][1])

@@ -83,7 +83,7 @@ class Paths:
     side: wp.array[wp.vec3]
     """Normal of the surface that the ray has left if no light from behind it counts there, else zero"""
     kind: wp.array[int]
-    """VISIBLE_* bit of the ray"""
+    """VISIBLE_* bit of the ray; of the path tracer's also the numbers of depth_place"""
     receiver: wp.array[int]
     """Instance that the ray has left; written and read where lights are linked alone (light_linking.py)"""
     cone: wp.array[wp.vec2]

@@ -25,6 +25,10 @@ VISIBLE_SHADOW = wp.constant(16)
 VISIBLE_VOLUME = wp.constant(32)
 HOLDOUT = wp.constant(64)
 SHADOW_CATCHER = wp.constant(128)
+DEPTH_SHIFT = wp.constant(21)
+"""A path's kind has from here on how many of its rays were diffuse, then glossy, then transmitted: DEPTH_BITS each"""
+DEPTH_BITS = wp.constant(3)
+DEPTH_MASK = wp.constant(7)
 LINK_SHIFT = wp.constant(8)
 """The bits from here on number the set of objects that a light is for; 0: everything. See light_linking.py"""
 

@@ -136,8 +136,8 @@ def light_path_node(graph: Graph, node, output: str) -> Value:
     if output == "Ray Depth":
         return build.input("RAY_DEPTH")
     if output in DEPTHS:
-        graph.tell(node, f"gives {output}, which is taken to be the ray's depth while it is of that kind")
-        return build.math("MULTIPLY", build.input("RAY_DEPTH"), build.input("RAY_KIND", int(DEPTHS[output])))
+        graph.tell(node, f"gives {output}, which real-time frames take to be the ray's depth", ReportKind.INFO)
+        return build.input("KIND_DEPTH", int(DEPTHS[output]))
     graph.tell(node, f"gives {output}, which is not known; 0 stands in for it")
     return build.constant(0.0)
 
@@ -232,9 +232,12 @@ def layer_weight_node(graph: Graph, node, output: str) -> Value:
 
 @translates("ShaderNodeWireframe")
 def wireframe_node(graph: Graph, node, output: str) -> Value:
-    """Wireframe: no edges."""
-    graph.tell(node, "is not drawn: no edges appear")
-    return graph.builder.constant(0.0)
+    """Wireframe: lines of a width in the world."""
+    if node.use_pixel_size:
+        graph.tell(node, "measures its lines in pixels, which is not drawn: no edges appear")
+    if node.use_pixel_size or graph.world or graph.lamp:
+        return graph.builder.constant(0.0)
+    return graph.builder.wireframe(graph.value(node, "Size"))
 
 
 @translates("ShaderNodeAmbientOcclusion")
