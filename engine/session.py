@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -347,15 +348,18 @@ class Session:
             OutOfDeviceMemory: What it needs beside the picture does not fit.
         """
         start, (width, height) = time.perf_counter(), self._size[2][2:]
-        traced, picture = (self._pass, self._film), None if self._pass.catchers is None else self.resolve()
+        traced, picture = (self._pass, self._film), None
         if self._realtime is not None:
             traced = self._realtime.samples()
             picture = self._realtime.picture() if self._realtime.frames > 0 else None
         with device_errors("denoising"):
             # A lens blurs what the guides show.
-            denoised = self.denoiser.run(
-                library, self.guides(), (width, height), clean=self._camera.aperture_radius <= 0.0, traced=traced,
-                picture=picture, transparent=self.settings.film.transparent).numpy()
+            run = partial(self.denoiser.run, library, self.guides(), (width, height),
+                          clean=self._camera.aperture_radius <= 0.0, transparent=self.settings.film.transparent)
+            if self._pass.catchers is None:
+                denoised = run(traced=traced, picture=picture).numpy()
+            else:
+                denoised = self._pass.catchers.denoise(run, self.resolve()).numpy()
         self.stats.times["denoise"] = time.perf_counter() - start
         return np.ascontiguousarray(denoised.reshape(height, width, 4), np.float32)
 

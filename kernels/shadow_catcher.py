@@ -202,3 +202,29 @@ def resolve_caught(
         matte = matte + catchers.backdrop[pixel] * (inverse * exposure * left)
         alpha = 1.0
     picture_out[pixel] = wp.vec4(wp.max(matte[0], 0.0), wp.max(matte[1], 0.0), wp.max(matte[2], 0.0), alpha)
+
+
+@wp.kernel
+def show_alpha(
+    # In:
+    picture: wp.array[wp.vec4],
+    # Out:
+    alpha_out: wp.array[wp.vec4],
+):
+    """Show alpha as grey, to be denoised."""
+    pixel = wp.tid()
+    alpha = picture[pixel][3]
+    alpha_out[pixel] = wp.vec4(alpha, alpha, alpha, 1.0)
+
+
+@wp.kernel
+def take_alpha(
+    # In:
+    alpha: wp.array[wp.vec4],
+    # Out:
+    picture_out: wp.array[wp.vec4],
+):
+    """Take what has been denoised of it."""
+    pixel = wp.tid()
+    c = picture_out[pixel]
+    picture_out[pixel] = wp.vec4(c[0], c[1], c[2], wp.clamp(mean_component(rgb(alpha[pixel])), 0.0, 1.0))

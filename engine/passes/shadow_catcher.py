@@ -155,6 +155,16 @@ class ShadowCatchers:
         launch(shadow_catcher.resolve_caught, len(picture), [film, self._film, int(transparent), exposure], [picture],
                self.device)
 
+    def denoise(self, run: Callable[..., wp.array], picture: wp.array) -> wp.array:
+        """Return a picture without noise, alpha included, where the shadow is; `run`: as FinalDenoise.run()."""
+        denoised = run(traced=None, picture=picture)
+        if self._scenes[2].transparent:
+            alpha = wp.empty_like(picture)
+            launch(shadow_catcher.show_alpha, len(picture), [picture], [alpha], self.device)
+            smooth = run(traced=None, picture=alpha)
+            launch(shadow_catcher.take_alpha, len(picture), [smooth], [denoised], self.device)
+        return denoised
+
 
 def copy_of(struct: object) -> object:
     """Return a struct with the same values."""

@@ -80,6 +80,14 @@ for kind, transparent in (("ball", True), ("ball", False), ("mirror", True), ("w
     cycles, _ = picture(scene, 'CYCLES', 256)
     results[f"{kind}, {'clear' if transparent else 'world'}"] = [
         ours.mean((0, 1)).tolist(), cycles.mean((0, 1)).tolist(), float(np.abs(ours - cycles).mean()), report[0]]
+scene = build("ball")
+scene.render.film_transparent = True
+scene.burnish.denoiser.final_denoise = True
+# On the plane, beside the shadow.
+denoised = picture(scene, 'BURNISH', 16)[0][40:58, 60:92, 3]
+scene.burnish.denoiser.final_denoise = False
+noisy = picture(scene, 'BURNISH', 16)[0][40:58, 60:92, 3]
+results["denoised"] = [float(denoised.std()), float(noisy.std()), float(denoised.mean() - noisy.mean())]
 burnish.unregister()
 print("RESULT " + json.dumps(results))
 '''
@@ -103,3 +111,9 @@ def test_shadows_are_those_of_cycles(results: dict[str, list], name: str) -> Non
     np.testing.assert_allclose(ours, cycles, rtol=0.06 if name.startswith("mirror") else 0.02)
     assert off < 0.01 and cycles[3] > 0.2, (off, cycles)
     assert "path-traced" in report and "not drawn" not in report
+
+
+def test_denoised_shadows_are_smooth(results: dict[str, list]) -> None:
+    """Denoise alpha too, where the shadow is."""
+    denoised, noisy, off = results["denoised"]
+    assert denoised < 0.6 * noisy and abs(off) < 0.3 * noisy, (denoised, noisy, off)
