@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depths of the Light Path node and the Wireframe node against Cycles: a floor that shines with them, seen by mirrors."""
+"""Depths of the Light Path node and the Wireframe node against Cycles: a floor that shines with them, in mirrors."""
 
 from __future__ import annotations
 
