@@ -243,9 +243,7 @@ class Session:
 
     def _trace(self, target: int, stop: Callable[[], bool]) -> None:
         self._film.light.prepare(self._scene)
-        self._pass.media = self._scene.media and self._scene.media.struct
-        if self._pass.catchers is not None:
-            self._pass.catchers.prepare(self._scene, self._film.pixel_count, self._options(False))
+        self._pass.prepare(self._scene, self._film.pixel_count, self._options(False))
         self._pass.render(
             self._scene.scene, self._frame, self._options(self._film.passes), self._filter, self._film, target, stop)
 

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -43,6 +44,9 @@ from .shadow_catcher import ShadowCatchers
 from .shadow_steps import shadow_steps
 from .subsurface import below_step, exit_steps
 from .wavefront import Step, Wavefront
+
+if TYPE_CHECKING:
+    from ..device_scene import DeviceScene
 
 __all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
 
@@ -179,8 +183,8 @@ class ReferencePass:
         limit = CPU_BAND_PATHS
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
-            state = PATH_BYTES + (MEDIA_BYTES if self.media is not None else 0)
-            room //= state * (1 if self.catchers is None else 2) + (light.path_bytes if light else 0)
+            state = (PATH_BYTES + MEDIA_BYTES) * (1 if self.catchers is None else 2)
+            room //= state + (light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
         edges = np.linspace(0, pixel_count, count + 1).astype(int)
@@ -200,6 +204,12 @@ class ReferencePass:
             slot.forget_rays()
         if self.catchers is not None:
             self.catchers.clear()
+
+    def prepare(self, source: DeviceScene, pixels: int, options: Options) -> None:
+        """Take in a scene's media and shadow catchers, for a picture of so many pixels; comes before render()."""
+        self.media = source.media and source.media.struct
+        if self.catchers is not None:
+            self.catchers.prepare(source, pixels, options)
 
     def note_scene(self) -> None:
         """Take in that the scene has changed."""

@@ -129,6 +129,8 @@ class FakeExtractor:
     def linked_materials(self):
         return []
 
+    world = None
+
     def refresh(self):
         self.first = True
 

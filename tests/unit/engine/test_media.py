@@ -292,6 +292,16 @@ def test_frames_have_the_colour_of_what_is_in_glass():
     assert frames == pytest.approx(truth, rel=0.04, abs=0.01)
 
 
+@pytest.mark.parametrize("medium", [
+    absorber(1e-30, 0.0, 1e30), cloud(np.inf), cloud(np.nan), cloud(2.0, 0.0, (3.0, 1.0, 0.0)),
+    MediumData(emission=(1e30, 0.0, 0.0)),
+], ids=str)
+def test_no_input_makes_a_bad_pixel_in_frames(medium):
+    """Stay finite in glass."""
+    picture = frames_of(drink(medium), 2).read()
+    assert np.isfinite(picture).all() and picture.min() >= 0.0
+
+
 def test_boundaries_are_clear_in_frames():
     """Draw nothing of a mesh that has a volume alone."""
     delta = boxes(cloud(3.0), background=0.7)
