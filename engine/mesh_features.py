@@ -14,7 +14,7 @@ import warp as wp
 from ..kernels.mesh_islands import join_edges
 from .device import start_warp
 
-__all__ = ["ISLAND", "POINTINESS", "derived_names", "pointiness", "random_per_island"]
+__all__ = ["ISLAND", "POINTINESS", "derived_names", "hashed", "pointiness", "random_per_island"]
 
 ISLAND, POINTINESS = ".island", ".pointiness"
 """Names of attributes in programs and meshes"""
@@ -35,9 +35,9 @@ def random_per_island(vertex_count: int, edges: np.ndarray) -> np.ndarray:
     return (hashed(parents.numpy()) / np.float32(0xFFFFFFFF)).astype(np.float32)
 
 
-def hashed(values: np.ndarray) -> np.ndarray:
-    """Return Cycles' hash of whole numbers (util/hash.h, hash_uint; Jenkins' lookup3): uint32 [N]."""
-    seed = np.uint32((0xDEADBEEF + (1 << 2) + 13) & 0xFFFFFFFF)
+def hashed(values: np.ndarray, count: int = 1) -> np.ndarray:
+    """Return Cycles' hash of whole numbers (util/hash.h; Jenkins' lookup3): uint32 [N]; `count` 2: with a zero each."""
+    seed = np.uint32((0xDEADBEEF + (count << 2) + 13) & 0xFFFFFFFF)
     state = [seed + values.astype(np.uint32), np.full(len(values), seed), np.full(len(values), seed)]
     for left, right, bits in ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24)):
         turned = (state[right] << np.uint32(bits)) | (state[right] >> np.uint32(32 - bits))

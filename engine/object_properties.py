@@ -15,16 +15,28 @@ import warp as wp
 from ..kernels.types import Materials
 from .staging import overwrite
 
-__all__ = ["PROPERTY_PREFIX", "ObjectProperties", "property_name", "property_names", "split_name"]
+__all__ = ["PROPERTY_PREFIX", "ObjectProperties", "particle_name", "particle_output", "property_name",
+           "property_names", "split_name"]
 
 PROPERTY_PREFIX = ".property:"
 
-OF_OBJECT, OF_INSTANCER = "object:", "instancer:"
+OF_OBJECT, OF_INSTANCER, OF_PARTICLE = "object:", "instancer:", "particle:"
 
 
 def property_name(name: str, *, instancer: bool) -> str:
     """Return the name under which programs have a property of the object, or of what made an instance of it."""
     return PROPERTY_PREFIX + (OF_INSTANCER if instancer else OF_OBJECT) + name
+
+
+def particle_name(output: str) -> str:
+    """Return the name of what the Particle Info node tells of the particle that made an instance."""
+    return PROPERTY_PREFIX + OF_PARTICLE + output
+
+
+def particle_output(name: str) -> str:
+    """Return the output that such a name means, empty for other names."""
+    kind = PROPERTY_PREFIX + OF_PARTICLE
+    return name.removeprefix(kind) if name.startswith(kind) else ""
 
 
 def split_name(name: str) -> tuple[str, bool]:

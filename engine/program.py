@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
 from .closure_arguments import ARGUMENTS, closure_code, slot_count
-from .object_properties import property_name
 from .program_fold import fold
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, flat_sinks, lay_out
 
@@ -187,9 +186,9 @@ class ProgramBuilder:
         """Return an attribute: colour or vector in xyz, alpha in w."""
         return self._add(codes.OP_INPUT, codes.INPUT_ATTRIBUTE, (0.0,), (index_of(self.attributes, name), 0))
 
-    def object_property(self, name: str, *, instancer: bool = False) -> Value:
-        """Return a property of the object, or of what made an instance of it: as `attribute`."""
-        number = index_of(self.attributes, property_name(name, instancer=instancer))
+    def object_property(self, name: str) -> Value:
+        """Return a property by its name from object_properties.py: as `attribute`."""
+        number = index_of(self.attributes, name)
         return self._add(codes.OP_INPUT, codes.INPUT_PROPERTY, (0.0,), (number, 0))
 
     def wireframe(self, size) -> Value:

@@ -96,8 +96,8 @@ class Placement:
     visibility: int
     parent: bpy.types.Object | None
     """The instancer"""
-    particles: bpy.types.ParticleSettings | None
-    """Of the particle system that made the instances, of the first one where several did"""
+    particles: bpy.types.ParticleSystem | None
+    """Particle system that made the instances, the first one where several did"""
 
 
 @dataclass(eq=False)
@@ -119,6 +119,8 @@ class Gathered:
     persistent_ids: np.ndarray = field(default_factory=lambda: np.empty((0, 8), np.int32))
     """int32 [N, 8]"""
     linking: Linking = field(default_factory=Linking)
+    frame: float = 0.0
+    """The scene's"""
 
     @property
     def source_of(self) -> np.ndarray:
@@ -200,7 +202,7 @@ def build_table(gathered: Gathered, mesh_keys: list[Hashable | None], keep: np.n
         light_groups=groups,
         light_group_index=group_index[by_source],
         **gathered.linking.columns(sources, placements, rows),
-        **property_columns(properties, placements, sources, rows, gathered.persistent_ids[keep]),
+        **property_columns(properties, placements, sources, rows, gathered.persistent_ids[keep], gathered.frame),
     )
 
 
@@ -208,7 +210,7 @@ class _Walk:
     """Turns the instances met first into sources and placements."""
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, report: Report) -> None:
-        self.gathered = Gathered()
+        self.gathered = Gathered(frame=depsgraph.scene.frame_current_final)
         self.placement_by_key: dict[tuple[int, int, int], int] = {}
         self.source_by_key: dict[tuple[int, int], int] = {}
         self.view_layer = depsgraph.view_layer_eval
@@ -232,9 +234,8 @@ class _Walk:
         source = self._source(owner, item)
         placement = Placement(source, None, visibility, None, None)
         if instance.is_instance:
-            system = instance.particle_system
             placement.parent_uid, placement.parent = parent.original.session_uid, parent
-            placement.particles = None if system is None else system.settings
+            placement.particles = instance.particle_system
         self.gathered.placements.append(placement)
         return len(self.gathered.placements) - 1
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from ...engine.mesh_features import ISLAND, POINTINESS
+from ...engine.object_properties import particle_name, property_name
 from ...engine.program import Value, tangent_attribute
 from ...engine.report import ReportKind
 from ...engine.scene import Visibility
@@ -93,7 +94,7 @@ def attribute_node(graph: Graph, node, output: str) -> Value:
         if graph.lamp:
             graph.tell(node, f"reads the property '{name}' of a lamp's object; it counts as 0")
         return graph.builder.constant(0.0)
-    return part_of(graph, graph.builder.object_property(name, instancer=kind == 'INSTANCER'), output)
+    return part_of(graph, graph.builder.object_property(property_name(name, instancer=kind == 'INSTANCER')), output)
 
 
 @translates("ShaderNodeVertexColor")
@@ -152,9 +153,17 @@ def camera_data_node(graph: Graph, node, output: str) -> Value:
     return build.vector("LENGTH" if output == "View Distance" else "NORMALIZE", position)
 
 
-@translates("ShaderNodeHairInfo", "ShaderNodeParticleInfo", "ShaderNodePointInfo", "ShaderNodeVolumeInfo")
+@translates("ShaderNodeParticleInfo")
+def particle_info_node(graph: Graph, node, output: str) -> Value:
+    """Particle Info, of the particle that made the instance."""
+    if graph.world or graph.lamp:
+        return graph.builder.constant(0.0)
+    return graph.builder.rgb(graph.builder.object_property(particle_name(output)))
+
+
+@translates("ShaderNodeHairInfo", "ShaderNodePointInfo", "ShaderNodeVolumeInfo")
 def particle_node(graph: Graph, node, output: str) -> Value:
-    """Facts about hair, particles and volumes: 0 on meshes."""
+    """Facts about hair, points and volumes: 0 on meshes."""
     if output != "Is Strand":
         graph.tell(node, f"gives {output}, which meshes don't have; 0 stands in for it")
     return graph.builder.constant(0.0)

@@ -15,7 +15,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...engine.object_properties import split_name
+from ...engine.mesh_features import hashed
+from ...engine.object_properties import particle_output, split_name
 from .mesh import ATTRIBUTE_TYPES, read_vec4
 
 __all__ = ["LayerProperties", "property_columns", "property_of"]
@@ -88,7 +89,7 @@ class LayerProperties:
 
 
 def property_columns(names: tuple[str, ...], placements: list[Any], sources: list[Any], rows: np.ndarray,
-                     persistent_ids: np.ndarray) -> dict[str, Any]:
+                     persistent_ids: np.ndarray, frame: float) -> dict[str, Any]:
     """Return the columns of an InstanceTable.
 
     Args:
@@ -97,23 +98,66 @@ def property_columns(names: tuple[str, ...], placements: list[Any], sources: lis
         sources: Theirs.
         rows: int [N], the instances' placements.
         persistent_ids: int32 [N, 8].
+        frame: The scene's, for ages.
     """
     if not names:
         return {}
     values = np.zeros((len(names), len(rows), 4), np.float32)
     used = np.unique(rows).tolist()
     for number, name in enumerate(names):
+        output = particle_output(name)
+        if output:
+            _read_particles(output, placements, rows, persistent_ids, values[number], frame)
+            continue
         prop, of_instancer = split_name(name)
         by_placement = np.zeros((len(placements), 4), np.float32)
         for index in used:
             placement = placements[index]
             source = sources[placement.source]
-            instancers = (placement.particles, placement.parent) if of_instancer else ()
+            settings = None if placement.particles is None else placement.particles.settings
+            instancers = (settings, placement.parent) if of_instancer else ()
             by_placement[index] = property_of((*instancers, source.owner, source.data), prop)
         values[number] = by_placement[rows]
         if of_instancer:
             _read_instance_attributes(prop, placements, rows, persistent_ids, values[number])
     return {"property_names": names, "properties": np.nan_to_num(values, posinf=0.0, neginf=0.0)}
+
+
+def _read_particles(output: str, placements: list[Any], rows: np.ndarray, persistent_ids: np.ndarray,
+                    values: np.ndarray, frame: float) -> None:
+    """Put in what Particle Info tells of the particles that made instances; children have none, as in Cycles."""
+    for index in np.unique(rows).tolist():
+        system = placements[index].particles
+        if system is None:
+            continue
+        chosen = np.flatnonzero(rows == index)
+        numbers = persistent_ids[chosen, 0]
+        known = (numbers >= 0) & (numbers < len(system.particles))
+        values[chosen[known]] = _particle_values(output, system.particles, frame)[numbers[known]]
+
+
+def _particle_values(output: str, particles: Any, frame: float) -> np.ndarray:
+    """Return float32 [particles, 4] of an output."""
+    count = len(particles)
+
+    def read(name: str, size: int = 1) -> np.ndarray:
+        found = np.zeros((count, size), np.float32)
+        particles.foreach_get(name, found.reshape(-1))
+        return found
+
+    if output == "Index":
+        found = np.arange(count, dtype=np.float32)[:, None]
+    elif output == "Random":
+        found = (hashed(np.arange(count), 2) / np.float32(0xFFFFFFFF))[:, None]
+    elif output == "Age":
+        found = frame - read("birth_time")
+    elif output in ("Lifetime", "Size"):
+        found = read(output.lower())
+    else:
+        found = read(output.lower().replace(" ", "_"), 3)
+    widened = np.ones((count, 4), np.float32)
+    widened[:, :3] = found
+    return widened
 
 
 def _read_instance_attributes(name: str, placements: list[Any], rows: np.ndarray, persistent_ids: np.ndarray,

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Attribute nodes read of objects, instancers and view layers, against Cycles: squares that shine with it."""
+"""What Attribute nodes read of objects, instancers and view layers, and Particle Info, against Cycles: squares shine."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -181,3 +182,82 @@ def test_nothing_is_said_of_them(results: list) -> None:
 def test_updates_bring_what_changed(results: list) -> None:
     """Send the table anew where an object's property changed, and a view layer's materials where its own did."""
     assert results[3] == {"same": True, "table": True, "materials": ["VIEW_LAYER ofscene Color"]}
+
+
+PARTICLES = r'''
+import json, sys, bpy, burnish, numpy as np
+import OpenImageIO as oiio
+
+device, folder = sys.argv[1], sys.argv[2]
+burnish.register()
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+OUTPUTS = ("Index", "Random", "Age", "Lifetime", "Location", "Size", "Velocity", "Angular Velocity")
+
+def square(name, x, size):
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata([(-size, -size, 0), (size, -size, 0), (size, size, 0), (-size, size, 0)], [], [(0, 1, 2, 3)])
+    item = bpy.data.objects.new(name, mesh)
+    item.location.x = x
+    scene.collection.objects.link(item)
+    return item
+
+for column, output in enumerate(OUTPUTS):
+    made = bpy.data.materials.new(output)
+    tree = made.node_tree
+    tree.nodes.clear()
+    node, emission = tree.nodes.new("ShaderNodeParticleInfo"), tree.nodes.new("ShaderNodeEmission")
+    tree.links.new(node.outputs[output], emission.inputs["Color"])
+    tree.links.new(emission.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    shown = square("shown", 0.0, 1.0)
+    shown.data.materials.append(made)
+    shown.hide_render = True
+    emitter = square("emitter", 1.0 * column, 0.3)
+    emitter.show_instancer_for_render = False
+    emitter.modifiers.new("particles", 'PARTICLE_SYSTEM')
+    settings = emitter.particle_systems[0].settings
+    settings.count, settings.frame_start, settings.frame_end, settings.lifetime = 6, 1, 5, 40
+    settings.lifetime_random, settings.size_random, settings.particle_size = 0.4, 0.5, 0.15
+    settings.render_type, settings.instance_object = 'OBJECT', shown
+    settings.normal_factor, settings.factor_random = 0.05, 0.1
+    settings.effector_weights.gravity = 0.0
+camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+camera.data.type, camera.data.ortho_scale, camera.location = 'ORTHO', 8.4, (3.5, 0.0, 5.0)
+scene.collection.objects.link(camera)
+scene.camera = camera
+for frame in range(1, 11):
+    scene.frame_set(frame)
+scene.render.resolution_x, scene.render.resolution_y = 160, 24
+scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
+
+def picture(engine):
+    scene.render.engine = engine
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 16, False, 'BOX'
+    scene.burnish.sampling.samples, scene.burnish.sampling.integrator = 16, 'REFERENCE'
+    scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', device
+    scene.render.filepath = f"{folder}/{engine}.exr"
+    bpy.ops.render.render(write_still=True)
+    return np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[..., :3].tolist()
+
+pictures = [picture('BURNISH'), picture('CYCLES')]
+burnish.unregister()
+print("RESULT " + json.dumps(pictures))
+'''
+
+
+def test_particle_info_is_that_of_cycles(run_python: Callable[..., subprocess.CompletedProcess], device: str,
+                                         tmp_path: Path) -> None:
+    """Show what Particle Info tells of the particles that made squares as Cycles does, but where edges are."""
+    chosen = "CPU" if device == "cpu" else "CUDA"
+    process = run_python(PARTICLES, chosen, tmp_path, timeout=TIMEOUT)
+    assert process.returncode == 0, process.stderr
+    # This engine shows no negative light.
+    ours, cycles = np.maximum(np.array(json.loads(process.stdout.rpartition("RESULT ")[2])), 0.0)
+    columns = 160 / 8.4
+    for number in range(8):
+        part = slice(int(columns * (number + 0.2)), int(columns * (number + 1.2)))
+        there = cycles[:, part].max(-1) > 1e-4
+        # None of these turns.
+        assert there.sum() > 30 or number in (7,), (number, there.sum())
+        off = np.abs(ours - cycles)[:, part].max(-1) / max(cycles[:, part].max(), 1e-3)
+        assert np.median(off[there]) < 1e-3 if there.any() else off.max() < 1e-3, (number, np.median(off[there]))

@@ -22,7 +22,7 @@ def test_names_tell_whose_they_are() -> None:
     assert split_name(OWN) == ("glow", False) and split_name(MAKERS) == ("a:b", True)
     assert property_names(["Col", OWN, MAKERS, OWN]) == (MAKERS, OWN)
     builder = ProgramBuilder()
-    builder.emit(builder.object_property("glow"), builder.attribute("Col"), 1.0)
+    builder.emit(builder.object_property(OWN), builder.attribute("Col"), 1.0)
     program = builder.finish()
     assert attribute_names([program]) == ["Col"] and property_names(program.attributes) == (OWN,)
 
@@ -40,7 +40,7 @@ def test_unknown_names_have_no_number(device: str) -> None:
 def shining() -> MaterialData:
     """Return a material that emits the property."""
     builder = ProgramBuilder()
-    builder.emit(builder.object_property("glow"), 1.0, 1.0)
+    builder.emit(builder.object_property(OWN), 1.0, 1.0)
     return MaterialData(name="shining", program=builder.finish(), has_emission=True)
 
 
