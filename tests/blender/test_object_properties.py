@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Attribute nodes read of objects, instancers and view layers, and Particle Info, against Cycles: squares shine."""
+"""Attribute nodes' properties of objects, instancers and view layers, and Particle Info, against Cycles."""
 
 from __future__ import annotations
 
