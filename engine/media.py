@@ -55,6 +55,8 @@ class SceneMedia:
     struct: Media
     frames: Media | None
     """As real-time frames have them, without the world's; None where no object has any"""
+    open: bool
+    """Whether some is seen by itself: the world's, or within boundaries without a surface. Frames don't draw these"""
     made_for: tuple
 
 
@@ -67,6 +69,9 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     drawn = source.drawn & filled[table.material_set_index] if len(source.drawn) else np.zeros(0, bool)
     if not drawn.any() and not world:
         return None
+    bare = np.array([any(key in found and source.materials[key].bare for key in keys)
+                     for keys in table.material_sets], bool)
+    seen = bool(world) or bool(bare[table.material_set_index[drawn]].any())
     low, high = (bounds[drawn] for bounds in (source.low, source.high))
     # Nothing is between bounds the wrong way round.
     bounds = (tuple(low.min(0)), tuple(high.max(0))) if len(low) else ((1.0,) * 3, (-1.0,) * 3)
@@ -81,7 +86,7 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     if len(low) and frames is None:
         frames = _copy(media)
         frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
-    return SceneMedia(media, frames if len(low) else None, made_for)
+    return SceneMedia(media, frames if len(low) else None, seen, made_for)
 
 
 def _copy(media: Media) -> Media:

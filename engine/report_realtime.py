@@ -34,7 +34,9 @@ class SceneFacts:
     scattering: int = 0
     """Light scattered below the surface"""
     media: int = 0
-    """Volumes, the world's included"""
+    """Volumes within surfaces"""
+    open_media: int = 0
+    """Volumes without a surface, the world's included"""
     linked_unsampled: int = 0
     """Emission that is not sampled as light, of objects that light some objects alone"""
     catchers: bool = False
@@ -53,14 +55,16 @@ def scene_facts(
         world: Its world.
         catchers: Whether there are shadow catchers.
     """
-    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "media": int(bool(world and world.medium))}
+    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "media": 0,
+              "open_media": int(bool(world and world.medium))}
     reflective = []
     for material in materials:
         facts = list(material_facts(material.program))
         for fact in {fact for fact in facts if isinstance(fact, str)}:
             counts[fact] += 1
         counts["scattering"] += subsurface_flags(material.program) != 0
-        counts["media"] += bool(material.medium)
+        if material.medium:
+            counts["open_media" if material.bare else "media"] += 1
         lobes = [fact for fact in facts if isinstance(fact, float)]
         if lobes:
             reflective.append(max(lobes))
@@ -83,9 +87,11 @@ def realtime_approximations(
         blurred: Whether the picture is a mean over moments; no frames either.
     """
     report = Report()
-    if (panoramic or blurred or facts.catchers) and settings.sampling.integrator == Integrator.REALTIME:
+    reasons = {"panoramic cameras are": panoramic, "motion blur is": blurred, "shadow catchers are": facts.catchers,
+               "volumes without a surface are": facts.open_media > 0}
+    what = next((what for what, there in reasons.items() if there), "")
+    if what and settings.sampling.integrator == Integrator.REALTIME:
         without = ", without debug views" if settings.debug.view else ""
-        what = "panoramic cameras are" if panoramic else "motion blur is" if blurred else "shadow catchers are"
         report.add(ReportKind.INFO, "", f"{what} path-traced{without}")
         return report
     if settings.sampling.integrator != Integrator.REALTIME or settings.debug.view:
@@ -108,7 +114,7 @@ def realtime_approximations(
                    facts.scattering)
     if facts.media:
         report.add(ReportKind.APPROXIMATED, "",
-                   f"volumes but for what they absorb and emit in glass are left out{until}", facts.media)
+                   f"volumes in surfaces, but for what they absorb and emit in glass, are left out{until}", facts.media)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",

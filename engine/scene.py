@@ -152,6 +152,8 @@ class MaterialData:
     """Shader AOVs by the names of their passes (pass_names.py): programs that emit the value"""
     medium: MediumData | None = None
     """What fills closed meshes; None: nothing"""
+    bare: bool = False
+    """Whether there is nothing to see but the medium: no surface"""
 
 
 class ColorEncoding(enum.StrEnum):

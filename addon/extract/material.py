@@ -111,6 +111,7 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         compile_surface(graph, material, output)
         data.medium = read_medium(
             functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
+        data.bare = bool(data.medium) and graph.source(output, "Surface") is None
         data.program = graph.builder.finish()
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")

@@ -303,24 +303,34 @@ def test_no_input_makes_a_bad_pixel_in_frames(medium):
 
 
 def test_boundaries_are_clear_in_frames():
-    """Draw nothing of a mesh that has a volume alone."""
+    """Draw nothing of a mesh with a transparent surface about a volume."""
     delta = boxes(cloud(3.0), background=0.7)
     picture = frames_of(delta, 4).read()[..., :3]
     np.testing.assert_allclose(picture, 0.7, rtol=1e-3)
 
 
 def test_other_frames_launch_nothing_for_media():
-    """Leave rays of scenes without media to the kernels that they had, also where the world alone has one."""
+    """Leave rays of scenes without media to the kernels that they had."""
     kernels = {"start_in_media", "dim_segments", "cross_boundaries"}
     glass = scenes.material("GLASS", color=1.0, ior=1.3)
     ball = scenes.delta({"ball": scenes.sphere(1.0, 24)}, [("ball", np.eye(4), "glass")], {"glass": glass},
                         background=1.0)
-    foggy = dataclasses.replace(ball, world=dataclasses.replace(ball.world, medium=cloud(0.1)))
     plain, filled_ball = frames_of(ball, 1), frames_of(drink(absorber(1.0, 1.0, 1.0)), 1)
     assert kernels <= {kernel for _, kernel in filled_ball.pipeline.launches()}
     expected = plain.pipeline.launches()
     assert not kernels & {kernel for _, kernel in expected}
-    assert frames_of(foggy, 1).pipeline.launches() == expected
+
+
+def test_fog_is_path_traced_in_every_frame():
+    """Let path tracing take the place of frames while the world has a medium, or a mesh has one and no surface."""
+    plain = boxes(scenes.transparent(1.0), background=0.7)
+    foggy = dataclasses.replace(plain, world=dataclasses.replace(plain.world, medium=absorber(0.1, 0.1, 0.1)))
+    bare = boxes(dataclasses.replace(filled(absorber(0.0, 0.2, 2.0)), bare=True), background=0.7)
+    assert frames_of(plain, 1).settings.sampling.integrator == Integrator.REALTIME
+    for delta in (foggy, bare):
+        session = frames_of(delta, 4)
+        assert session.settings.sampling.integrator == Integrator.REFERENCE
+        assert session.read()[..., 2].mean() < 0.6
 
 
 def test_media_follow_moved_objects():

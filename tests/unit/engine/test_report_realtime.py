@@ -99,11 +99,12 @@ def test_each_approximation_is_named_once() -> None:
 
 
 def test_media_are_counted() -> None:
-    """Count materials with a medium, and the world's."""
+    """Count materials with a medium, and apart from them those without a surface and the world."""
     medium = MediumData(extinction=(1.0, 0.0, 0.0))
     filled = dataclasses.replace(material("DIFFUSE"), medium=medium)
     world = WorldData(name="fog", program=filled.program, medium=medium)
-    assert scene_facts([filled, material("DIFFUSE")]).media == 1 and scene_facts([filled], (), world).media == 2
+    assert scene_facts([filled, material("DIFFUSE")]) == SceneFacts(media=1)
+    assert scene_facts([filled, dataclasses.replace(filled, bare=True)], (), world) == SceneFacts(media=1, open_media=2)
     assert scene_facts([dataclasses.replace(filled, medium=MediumData())]).media == 0
 
 
