@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.media import Media, Medium, Phase
+from ..kernels.types import LIGHT_SUN
 
 if TYPE_CHECKING:
     from .device_scene import DeviceScene
@@ -20,6 +21,9 @@ Color = tuple[float, float, float]
 
 COEFFICIENT_MAX = 1e20
 """[1/m]; what is denser is opaque at any scale, and sums of such still fit a float"""
+
+REACH_SHARE = 0.25
+"""Of the scene's radius, how far from its lights a place is near them at least"""
 
 ANISOTROPY_MAX = 0.999
 """As Cycles has it: beyond it nothing is scattered but straight on or back"""
@@ -83,10 +87,28 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     else:
         media, frames = _upload(places, world or None, len(source.material_table.indices), source.device), None
     media.low, media.high = (wp.vec3(*bound) for bound in bounds)
+    middle, media.reach = light_reach(source, [*found.values(), world])
+    media.middle = wp.vec3(*middle)
     if len(low) and frames is None:
         frames = _copy(media)
         frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
     return SceneMedia(media, frames if len(low) else None, seen, made_for)
+
+
+def light_reach(source: DeviceScene, media: list[MediumData | None]) -> tuple[tuple[float, ...], float]:
+    """Return middle and radius [m] of a sphere about all lights with a place; radius 0 where media shine everywhere.
+
+    At least a part of the scene's own size: surfaces about lights give light back.
+    """
+    if any(medium and any(medium.emission) for medium in media):
+        return (0.0, 0.0, 0.0), 0.0
+    places = source.lamps["position"][source.lamps["kind"] != int(LIGHT_SUN)].reshape(-1, 3)
+    points = np.concatenate([places, source.emitters.low, source.emitters.high]).astype(np.float64)
+    if not len(points) or not np.isfinite(points).all():
+        return (0.0, 0.0, 0.0), 0.0
+    low, high = points.min(0), points.max(0)
+    radius = max(float(0.5 * np.linalg.norm(high - low)), REACH_SHARE * source.radius)
+    return tuple(0.5 * (low + high)), radius
 
 
 def _copy(media: Media) -> Media:

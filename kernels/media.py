@@ -23,6 +23,10 @@ STACK_SIZE = wp.constant(4)
 NO_MEDIUM = wp.constant(-1)
 
 
+RETURN_MIN = wp.constant(0.05)
+"""Chance that a path has at least of coming back from far away"""
+
+
 @wp.struct
 class Medium:
     """What fills a closed mesh or the world."""
@@ -58,6 +62,9 @@ class Media:
     low: wp.vec3
     high: wp.vec3
     """Bounds of all objects with a medium"""
+    middle: wp.vec3
+    reach: float
+    """Sphere about all lights with a place [m]; 0: light may come from anywhere"""
 
 
 @wp.struct
@@ -259,6 +266,21 @@ def phase_value(media: Media, inside: Inside, cosine: float) -> float:
     for i in range(STACK_SIZE):
         sums = add_phases(media, sums, inside.media[i], cosine)
     return sums[0] / wp.max(sums[1], 1.0e-36)
+
+
+@wp.func
+def return_chance(media: Media, inside: Inside, position: wp.vec3) -> float:
+    """Return the chance with which a path that the world's medium has scattered goes on.
+
+    An endless medium loses no path, but what is far from all lights adds little: as the square of the distance tells.
+    """
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            return 1.0
+    distance = wp.length(position - media.middle)
+    if distance <= media.reach or media.reach <= 0.0:
+        return 1.0
+    return wp.max((media.reach / distance) * (media.reach / distance), RETURN_MIN)
 
 
 @wp.func

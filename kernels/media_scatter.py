@@ -18,6 +18,7 @@ from .media import (
     choose_phase,
     load_inside,
     phase_value,
+    return_chance,
 )
 from .misses import add_world
 from .path_shading import LIGHT_CANDIDATES, candidate_place, carry_light
@@ -29,7 +30,9 @@ from .sampling import (
     DIMENSION_LIGHT_CHOICE,
     DIMENSION_LOBE,
     DIMENSION_RESAMPLE,
+    DIMENSION_ROULETTE,
     DIMENSIONS_PER_BOUNCE,
+    hash_combine,
     sample_number,
     sample_pair,
 )
@@ -38,6 +41,9 @@ from .types import MATERIAL_LEAN, MATERIAL_SUBSURFACE, VISIBLE_VOLUME, FrameData
 from .wide_loads import load_material_flags
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+RETURN_STREAM = wp.constant(wp.uint32(0x52455455))
+"""Sets the numbers apart by which paths come back from far away"""
 
 
 @wp.kernel
@@ -189,6 +195,11 @@ def scatter_paths(
             direction = wp.normalize(
                 to_frame(before, wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), cosine)))
             value = phase_value(media, inside, wp.dot(before, direction))
+            chance = return_chance(media, inside, position)
+            if chance < 1.0:
+                number = sample_number(hash_combine(seed, RETURN_STREAM), index, dimension + DIMENSION_ROULETTE)
+                paths_out.throughput[path] = paths_out.throughput[path] / chance
+                value = wp.where(number < chance, value, 0.0)
             # The share is the density: no weight.
             if value > 0.0:
                 paths_out.state[path] = bounce + 1

@@ -137,7 +137,7 @@ def test_flags(found: dict, graph: str, flags: tuple):
 def test_report_names_what_is_not_drawn(found: dict):
     """Name material and node of everything that is approximated, and never fail."""
     text = found["report_of_everything"]
-    for words in ("subsurface", "Wireframe", "hair", "Light Path"):
+    for words in ("subsurface", "Bevel", "hair", "Light Path"):
         assert words in text, words
     assert "material 'Everything'" in text
     assert "could not be read" not in text

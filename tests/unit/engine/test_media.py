@@ -7,6 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from burnish.engine import media as engine_media
 from burnish.engine.media import MediumData, PhaseData
 from burnish.engine.passes import wavefront
 from burnish.engine.passes.composite import LIGHT_PASSES
@@ -148,6 +149,35 @@ def test_the_worlds_medium_hides_the_world_and_suns():
                "materials": {"light": scenes.emitter(1.0)}}
     # The camera is 3 m away.
     assert seen(foggy(absorber(0.1, 0.5, 0.0), **shining)) == pytest.approx(np.exp([-0.3, -1.5, 0.0]), rel=1e-3)
+
+
+def test_few_paths_come_back_from_far_away(monkeypatch):
+    """End most paths that fog has scattered far from all lights, for a fraction of the rounds and the same mean."""
+    lamp = scenes.lamp("POINT", 20.0, scenes.place(x=0.3, z=1.0), radius=0.2)
+    delta = scenes.delta({"floor": scenes.quad(1.0)}, [("floor", scenes.place(z=-0.5), "floor")],
+                         {"floor": scenes.material(color=(0.6, 0.4, 0.3))}, [lamp], 0.0)
+    foggy = dataclasses.replace(delta, world=dataclasses.replace(delta.world, medium=cloud(0.1)))
+
+    def traced():
+        lengths = []
+        real = wavefront.Wavefront.loop
+
+        def loop(self, *args):
+            done = real(self, *args)
+            lengths.append(int(self.rounds.numpy()[0]))
+            return done
+
+        with monkeypatch.context() as patch:
+            patch.setattr(wavefront.Wavefront, "loop", loop)
+            session = shot(foggy, 256)
+        return session, session.read()[..., :3].mean(dtype=np.float64), max(lengths)
+
+    session, mean, rounds = traced()
+    assert session._scene.media.struct.reach == pytest.approx(session._scene.radius / 4.0)
+    monkeypatch.setattr(engine_media, "light_reach", lambda source, media: ((0.0, 0.0, 0.0), 0.0))
+    _, expected, most = traced()
+    assert mean == pytest.approx(expected, rel=0.04)
+    assert rounds < 0.6 * most, (rounds, most)
 
 
 def test_alpha_is_what_media_hide():
