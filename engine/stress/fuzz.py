@@ -12,6 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..errors import BurnishError
+from ..media import MediumData, PhaseData
+from ..program import ProgramBuilder
 from ..scene import CameraData, CameraKind, LightData, LightKind, MaterialData, MeshData, Visibility
 from .cases import BOTH, Case, Trial
 from .scenes import Placed, StressScene, box, lamp, look_at, make_mesh, make_scene, material, principled, quad, sphere
@@ -135,6 +137,26 @@ def random_material(choose: Chooser) -> MaterialData:
                     ior=value(choose, 1, 2), anisotropic=value(choose, -1, 1), tangent=(0.0, 0.0, 1.0), **film)
 
 
+def random_medium(choose: Chooser) -> MediumData:
+    """Return a medium of up to two phase functions, perhaps glowing, perhaps with more light than it gets."""
+    phases = tuple(PhaseData(tuple(value(choose, 0, 3) for _ in range(3)), value(choose, -1, 1))
+                   for _ in range(choose.whole(0, 2)))
+    glow = tuple(value(choose, 0, 1) for _ in range(3)) if choose.whole(0, 3) == 3 else (0.0, 0.0, 0.0)
+    return MediumData(tuple(value(choose, 0, 5) for _ in range(3)), glow, phases)
+
+
+def filled(choose: Chooser, made: MaterialData) -> MaterialData:
+    """Return the material, now and then with a medium behind it, or with that alone."""
+    kind = choose.pick(("none", "none", "filled", "bare"))
+    if kind == "none":
+        return made
+    if kind == "bare":
+        builder = ProgramBuilder()
+        builder.transparent((1.0, 1.0, 1.0), 1.0)
+        made = MaterialData(name="boundary", program=builder.finish(), has_transparency=True, bare=True)
+    return replace(made, medium=random_medium(choose))
+
+
 def random_transform(choose: Chooser) -> np.ndarray:
     """Return a place with a turn and a scale, now and then mirrored, flat, huge or tiny."""
     matrix, angle = np.eye(4), choose.number(0.0, 6.3)
@@ -167,13 +189,19 @@ def random_scene(choose: Chooser) -> tuple[StressScene, tuple[int, int]]:
     """Return a scene and the size of its picture."""
     size, count = choose.pick(SIZES), choose.whole(0, 4)
     objects = [
-        Placed(i, i, random_transform(choose), choose.pick((int(Visibility.ALL), int(Visibility.CAMERA), 1 << 6 | 63)))
+        Placed(i, i, random_transform(choose), choose.pick((
+            int(Visibility.ALL), int(Visibility.CAMERA), int(Visibility.ALL | Visibility.HOLDOUT),
+            int(Visibility.ALL), int(Visibility.ALL | Visibility.SHADOW_CATCHER))))
         for i in range(count)]
     meshes = {i: random_mesh(choose) for i in range(count)}
-    materials = {i: random_material(choose) for i in range(count)}
+    materials = {i: filled(choose, random_material(choose)) for i in range(count)}
     lights = [random_lamp(choose) for _ in range(choose.whole(0, 3))]
     sky = choose.pick((0.0, 1.0)) if choose.whole(0, 1) else abs(value(choose, 0, 2))
-    return make_scene(meshes, objects, materials, random_camera(choose, size), lights, sky), size
+    scene = make_scene(meshes, objects, materials, random_camera(choose, size), lights, sky)
+    if choose.whole(0, 5) == 5:
+        world = replace(scene.delta.world, medium=random_medium(choose))
+        scene = replace(scene, delta=replace(scene.delta, world=world))
+    return scene, size
 
 
 def describe(scene: StressScene, size: tuple[int, int]) -> str:
