@@ -79,7 +79,7 @@ class DeviceScene:
         """Of all instances; where some only moved it stays the same array, see `take_moved_rows`"""
         self._moved_rows = np.zeros(0, np.int64)
         self._row_writer = RowWriter(types.Instance, device)
-        self._emitting = np.zeros(0, bool)
+        self.emitting = np.zeros(0, bool)
         """By set of materials, whether any may emit light"""
         self.instances = wp.zeros(1, dtype=types.Instance, device=device)
         self.instance_materials = wp.zeros(1, dtype=int, device=device)
@@ -235,7 +235,7 @@ class DeviceScene:
 
     def _any_emits(self, chosen: np.ndarray) -> bool:
         """Return whether any of the chosen instances may emit light."""
-        return bool(self._emitting[self.table.material_set_index[chosen]].any())
+        return bool(self.emitting[self.table.material_set_index[chosen]].any())
 
     def _forget(self) -> None:
         self.store.clear()
@@ -319,7 +319,7 @@ class DeviceScene:
         self.rows, self._moved_rows = instance_rows(table, ranges, self.origin), np.zeros(0, np.int64)
         counts = np.array([r.triangle_count for r in ranges], np.int64)
         self.triangle_count = int(counts[table.mesh_index[self.drawn]].sum())
-        self._emitting = np.array([
+        self.emitting = np.array([
             any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
             for keys in table.material_sets], bool)
         flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
@@ -351,7 +351,7 @@ class DeviceScene:
         sampled_power = self.environment_power if self.world is not None and self.world.sampling else 0.0
         self.light_struct = build_lights(
             self.lamps, self.emitters, sampled_power, self.radius, self.device, tables=self.lamp_tables.array,
-            linked=is_linked(self.lights, self.table, self._emitting))
+            linked=is_linked(self.lights, self.table, self.emitting))
         self._assemble()
 
     def _assemble_with(self, environment: types.Environment, power: float) -> types.Scene:

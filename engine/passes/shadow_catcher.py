@@ -99,7 +99,7 @@ class ShadowCatchers:
         power = source.environment_power if source.world is not None and source.world.sampling else 0.0
         scene.lights = build_lights(
             source.lamps, emitters, power, source.radius, self.device, tables=source.lamp_tables.array,
-            linked=is_linked(source.lights, table, source._emitting))
+            linked=is_linked(source.lights, table, source.emitting))
         world = copy_of(scene)
         world.lights = copy_of(scene.lights)
         world.lights.lamp_count = 0
