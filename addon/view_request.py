@@ -23,6 +23,8 @@ class ViewRequest:
     height: int
     crop: tuple[int, int, int, int] | None = None
     """x, y, width, height [px] of the part to render, from the bottom left; None for all"""
+    traced: bool = False
+    """Whether the scene has what real-time frames don't know (SceneFacts.traced)"""
 
 
 def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:
@@ -33,8 +35,9 @@ def restarts(new: ViewRequest, old: ViewRequest | None) -> bool:
 
 
 def real_time(request: ViewRequest) -> bool:
-    """Tell whether a request is for real-time frames; panoramic cameras have none."""
-    return request.settings.sampling.integrator == Integrator.REALTIME and not request.camera.panoramic
+    """Tell whether a request is for real-time frames; panoramic cameras have none, nor have some scenes."""
+    traced = request.camera.panoramic or request.traced
+    return request.settings.sampling.integrator == Integrator.REALTIME and not traced
 
 
 def step_text(request: ViewRequest, done: int) -> str:

@@ -105,7 +105,7 @@ class Viewport:
             self._restart()
         self._report = Report()
         delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data)
-        if delta.full or delta.materials or delta.instances is not None:
+        if delta.full or delta.materials or delta.world is not None or delta.instances is not None:
             self._facts = scene_facts(
                 self._extractor.materials(), self._extractor.linked_materials(), self._extractor.world,
                 catchers=self._extractor.has_catchers)
@@ -194,7 +194,7 @@ class Viewport:
         settings = preferences.with_device(settings_from_scene(context.scene, viewport=True))
         self._note_shading(space.shading)
         return ViewRequest(settings=settings, camera=camera_from_view(region, view, space, depsgraph),
-                           width=region.width, height=region.height,
+                           width=region.width, height=region.height, traced=self._facts.traced,
                            crop=border_from_view(region, view, space, depsgraph))
 
     def _note_shading(self, shading: Any) -> None:

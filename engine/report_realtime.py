@@ -42,6 +42,11 @@ class SceneFacts:
     catchers: bool = False
     """Whether there are shadow catchers"""
 
+    @property
+    def traced(self) -> bool:
+        """Whether the scene is path-traced in every frame (Session.configure)."""
+        return self.catchers or self.open_media > 0
+
 
 def scene_facts(
     materials: Iterable[MaterialData], linked: Iterable[MaterialData] = (), world: WorldData | None = None, *,

@@ -241,6 +241,33 @@ assert "diffuse light" not in text and "Real-time frame" not in text, text
 """)
 
 
+def test_fog_comes_and_goes(run_viewport):
+    """Say samples as soon as the world has a medium, and frames without it, when nothing else changes."""
+    run_viewport("""
+import dataclasses
+from burnish.engine.media import MediumData
+from burnish.engine.program import ProgramBuilder
+from burnish.engine.scene import SceneDelta, WorldData
+clear = WorldData(name="world", program=ProgramBuilder().finish())
+foggy = dataclasses.replace(clear, medium=MediumData(extinction=(1.0, 1.0, 1.0)))
+real = FakeSession.update
+def update(self, delta, progress=None):
+    real(self, delta, progress)
+    self.samples_done = 0
+FakeSession.update = update
+engine, context = FakeEngine(), make_context()
+sampling = context.scene.burnish.sampling
+sampling.integrator, sampling.viewport_samples = 'REALTIME', 5
+viewport.view_update(engine, context, depsgraph)
+for world, word in ((clear, "Frame"), (foggy, "Sample"), (clear, "Frame")):
+    FakeExtractor.world = world
+    FakeExtractor.extract = lambda self, *args, **named: SceneDelta(world=world)
+    viewport.view_update(engine, context, depsgraph)
+    viewport.view_draw(engine, context, depsgraph)
+    until(lambda: engine.viewport._worker.status.text == f"{word} 5/5")
+""")
+
+
 def test_freeing_the_engine_ends_its_worker(run_viewport):
     """Stop the thread and close the session when Blender drops the RenderEngine, without any call from it."""
     run_viewport("""

@@ -282,11 +282,12 @@ def test_resize_storm(make_worker):
     assert worker.picture.pixels.shape == (21, 33) and worker.picture.samples == 8
 
 
-def test_panoramas_are_samples(make_worker):
-    """Refine a panoramic view from coarse pixels as path-traced ones, and say samples, whatever the integrator is."""
+@pytest.mark.parametrize("changes", [{"camera": CameraData(kind=CameraKind.EQUIRECTANGULAR)}, {"traced": True}])
+def test_what_frames_do_not_know_is_samples(make_worker, changes):
+    """Refine panoramas and fog from coarse pixels as path-traced ones, and say samples, whatever the integrator is."""
     worker = make_worker()
     worker.post_scene(SceneDelta(full=True))
-    worker.post_view(frames(view="gbuffer.normal", camera=CameraData(kind=CameraKind.EQUIRECTANGULAR)))
+    worker.post_view(frames(view="gbuffer.normal", **changes))
     until(lambda: not worker.status.busy)
     assert worker.status.text == "Sample 8/8" and worker.picture.samples == 8
 
