@@ -11,6 +11,7 @@ import warp as wp
 
 from ..kernels.media import Media, Medium, Phase
 from ..kernels.types import LIGHT_SUN
+from .history import copy_struct
 
 if TYPE_CHECKING:
     from .device_scene import DeviceScene
@@ -69,6 +70,8 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     table, world = source.table, source.world.medium if source.world is not None else None
     keys = {key for keys in table.material_sets for key in keys}
     found = {key: data.medium for key in keys if (data := source.materials.get(key)) is not None and data.medium}
+    if not found and not world:
+        return None
     filled = np.array([any(key in found for key in keys) for keys in table.material_sets], bool)
     drawn = source.drawn & filled[table.material_set_index] if len(source.drawn) else np.zeros(0, bool)
     if not drawn.any() and not world:
@@ -83,14 +86,14 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     made_for = places, world, len(source.material_table.indices)
     before = source.media
     if before is not None and before.made_for == made_for:
-        media, frames = _copy(before.struct), before.frames
+        media, frames = copy_struct(before.struct), before.frames
     else:
         media, frames = _upload(places, world or None, len(source.material_table.indices), source.device), None
     media.low, media.high = (wp.vec3(*bound) for bound in bounds)
     middle, media.reach = light_reach(source, [*found.values(), world])
     media.middle = wp.vec3(*middle)
     if len(low) and frames is None:
-        frames = _copy(media)
+        frames = copy_struct(media)
         frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
     return SceneMedia(media, frames if len(low) else None, seen, made_for)
 
@@ -109,14 +112,6 @@ def light_reach(source: DeviceScene, media: list[MediumData | None]) -> tuple[tu
     low, high = points.min(0), points.max(0)
     radius = max(float(0.5 * np.linalg.norm(high - low)), REACH_SHARE * source.radius)
     return tuple(0.5 * (low + high)), radius
-
-
-def _copy(media: Media) -> Media:
-    """Return another struct of the same arrays."""
-    copied = Media()
-    for name in Media.vars:
-        setattr(copied, name, getattr(media, name))
-    return copied
 
 
 def _upload(places: dict[int, MediumData], world: MediumData | None, materials: int, device: str) -> Media:

@@ -10,6 +10,7 @@ Arrays are copies, C-contiguous, owned by the receiver.
 from __future__ import annotations
 
 import enum
+import functools
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field, fields
@@ -113,9 +114,9 @@ class InstanceTable:
     properties: np.ndarray | None = None
     """float32 [P, N, 4], their values; None without any"""
 
-    @property
+    @functools.cached_property
     def has_catchers(self) -> bool:
-        """Whether any instance is a shadow catcher."""
+        """Whether any instance is a shadow catcher; asked for in every frame."""
         return bool((self.visibility & int(Visibility.SHADOW_CATCHER)).any())
 
     def moved_from(self, other: InstanceTable) -> bool:

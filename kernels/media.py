@@ -123,16 +123,24 @@ def store_inside(kept: MediaPaths, path: int, inside: Inside):
 
 
 @wp.func
+def place_in(inside: Inside, instance: int, medium: int) -> int:
+    """Return the place of an object's medium in a stack, -1 where it is not there."""
+    found = int(-1)
+    for i in range(STACK_SIZE):
+        if inside.media[i] == medium and inside.objects[i] == instance:
+            found = i
+    return found
+
+
+@wp.func
 def cross(inside: Inside, instance: int, medium: int, leaving: bool) -> Inside:
     """Return what a path is in that crosses the boundary of an object's medium, out through its back or in."""
     out = Inside()
     out.objects = inside.objects
     out.media = inside.media
-    found = int(-1)
+    found = place_in(inside, instance, medium)
     free = int(-1)
     for i in range(STACK_SIZE):
-        if inside.media[i] == medium and inside.objects[i] == instance:
-            found = i
         if inside.media[i] == NO_MEDIUM and free < 0:
             free = i
     for i in range(STACK_SIZE):

@@ -35,6 +35,7 @@ from .media import (
     mixture_of,
     nowhere,
     passing,
+    place_in,
     store_inside,
 )
 from .media_distance import Pull, pull_of, walk_stretch
@@ -98,13 +99,8 @@ def start_media(
             medium = media.of_material[point.material]
             if medium != NO_MEDIUM and point.backfacing == 0:
                 entered = cross(entered, hit.instance, medium, False)
-            elif medium != NO_MEDIUM:
-                known = bool(False)
-                for i in range(STACK_SIZE):
-                    if entered.media[i] == medium and entered.objects[i] == hit.instance:
-                        known = True
-                if not known:
-                    inside = cross(inside, hit.instance, medium, False)
+            elif medium != NO_MEDIUM and place_in(entered, hit.instance, medium) < 0:
+                inside = cross(inside, hit.instance, medium, False)
             start = step_past(point, up, hit.t)
         step = step + 1
     store_inside(kept_out, path, inside)

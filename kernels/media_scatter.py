@@ -6,9 +6,9 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, safe_sqrt, to_frame
-from .intersect import MISS, may_emit, offset_origin, triangle_material
+from .intersect import MISS
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .light_choice import choice_of_none, chosen_light, consider
 from .light_linking import blockers, kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .media import (
@@ -20,8 +20,8 @@ from .media import (
     phase_value,
     return_chance,
 )
-from .misses import add_world
-from .path_shading import LIGHT_CANDIDATES, candidate_place, carry_light
+from .misses import add_world, takes_more
+from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, candidate_place
 from .paths import ENDED, Options, Paths, survives
 from .sampling import (
     DIMENSION_BSDF,
@@ -37,8 +37,7 @@ from .sampling import (
     sample_pair,
 )
 from .subsurface import phase_cosine
-from .types import MATERIAL_LEAN, MATERIAL_SUBSURFACE, VISIBLE_VOLUME, FrameData, Scene
-from .wide_loads import load_material_flags
+from .types import VISIBLE_VOLUME, FrameData, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -77,30 +76,8 @@ def shade_media_misses(
                     r = paths_out.radiance[path]
                     left = wp.clamp(mean_component(paths_out.throughput[path]), 0.0, 1.0)
                     paths_out.radiance[path] = wp.vec4(r[0], r[1], r[2], 1.0 - left)
-            else:
-                material = triangle_material(scene, hit[0], hit[1])
-                going_on = True
-                if not may_emit(scene, material):
-                    going_on = survives(options, paths_out, path, bounce)
-                flags = load_material_flags(scene.materials.materials, material)[3]
-                if going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN:
-                    queue_out[wp.atomic_add(count_out, 0, 1)] = path
-
-
-@wp.func
-def set_scattered_shadow(scene: Scene, position: wp.vec3, s: LightSample, light: wp.vec3, paths: Paths, path: int):
-    """Store the shadow ray of a light sample from within a medium and what it carries."""
-    direction = s.wi
-    distance = s.distance
-    if distance < FAR:
-        target = offset_origin(position + s.wi * s.distance, s.normal, s.error, -s.wi) - position
-        distance = wp.length(target)
-        if distance > 0.0:
-            direction = target / distance
-    if carry_light(scene, s, light, paths, path):
-        paths.shadow_origin[path] = position
-        paths.shadow_direction[path] = direction
-        paths.shadow_distance[path] = wp.where(s.shadow == 0, -distance, distance)
+            elif takes_more(scene, options, paths_out, path, bounce):
+                queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
 @wp.func
@@ -114,12 +91,7 @@ def light_scattered(
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     no_side = wp.vec3(0.0, 0.0, 0.0)
-    kept = LightSample()
-    kept.kind = -1
-    light = wp.vec3(0.0, 0.0, 0.0)
-    target = float(1.0)
-    total = float(0.0)
-    left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
+    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, no_side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
@@ -135,20 +107,11 @@ def light_scattered(
             here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
             worth = wp.dot(here, scene.luminance) * s.brightness
             if is_finite3(here) and worth > 0.0 and (s.visibility & VISIBLE_VOLUME) != 0:
-                total = total + worth
-                share = worth / total
-                # What is left of a number after each decision is uniform again.
-                if left < share:
-                    left = left / share
-                    kept = s
-                    light = here
-                    target = worth
-                else:
-                    left = (left - share) / (1.0 - share)
+                choice = consider(choice, s, here, worth)
         k = k + 1
-    if kept.kind >= 0 and wp.isfinite(total):
-        set_scattered_shadow(
-            scene, position, kept, light * (total / (target * float(LIGHT_CANDIDATES))), paths, path)
+    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
+        light = chosen_light(choice, LIGHT_CANDIDATES)
+        aim_shadow_ray(scene, position, position, choice.kept, light, paths, path)
 
 
 @wp.kernel

@@ -69,6 +69,18 @@ def add_world(scene: Scene, options: Options, paths: Paths, path: int, bounce: i
         paths.environment[path] = radiance
 
 
+@wp.func
+def takes_more(scene: Scene, options: Options, paths: Paths, path: int, bounce: int) -> bool:
+    """Play roulette at a hit that does not emit; return whether the path goes on with a material that is not lean."""
+    hit = paths.hit[path]
+    material = triangle_material(scene, hit[0], hit[1])
+    going_on = True
+    if not may_emit(scene, material):
+        going_on = survives(options, paths, path, bounce)
+    flags = load_material_flags(scene.materials.materials, material)[3]
+    return going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN
+
+
 @wp.kernel(cuda_max_registers=128)
 def shade_misses(
     # In:
@@ -98,11 +110,5 @@ def shade_misses(
             if hit[0] == MISS:
                 add_world(scene, options, paths_out, path, bounce)
                 paths_out.state[path] = ENDED
-            else:
-                material = triangle_material(scene, hit[0], hit[1])
-                going_on = True
-                if not may_emit(scene, material):
-                    going_on = survives(options, paths_out, path, bounce)
-                flags = load_material_flags(scene.materials.materials, material)[3]
-                if going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN:
-                    queue_out[wp.atomic_add(count_out, 0, 1)] = path
+            elif takes_more(scene, options, paths_out, path, bounce):
+                queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -13,6 +13,7 @@ from .geometry_math import is_finite3, max_component, normalize_or, power_heuris
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
+from .light_choice import choice_of_none, chosen_light, consider
 from .light_linking import (
     blockers,
     emission_counts,
@@ -64,7 +65,7 @@ from .types import (
 )
 from .wide_loads import load_instance, load_material_flags
 
-__all__ = ["begin_hit", "carry_light", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
+__all__ = ["aim_shadow_ray", "begin_hit", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
 
 # Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
 LIGHT_CANDIDATES = wp.constant(2)
@@ -113,17 +114,15 @@ def carry_light(scene: Scene, s: LightSample, light: wp.vec3, paths: Paths, path
 
 
 @wp.func
-def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths, path: int):
-    """Store the shadow ray of a light sample and what it carries."""
-    if s.kind == LIGHT_ENVIRONMENT and scene.environment.constant == 1 and wp.dot(lit_side(point, s.wi), s.wi) <= 0.0:
-        # Cycles lets paths alone find a world of one colour: from behind the triangle none does.
-        return
-    origin = shadow_origin(scene.geometry, point, s.wi)
+def aim_shadow_ray(
+    scene: Scene, position: wp.vec3, origin: wp.vec3, s: LightSample, light: wp.vec3, paths: Paths, path: int,
+):
+    """Store the shadow ray, from an origin, of a light sample that was drawn for a position, and what it carries."""
     direction = s.wi
     distance = s.distance
     if distance < FAR:
         # Aim at the sampled point again: the origin has moved.
-        target = offset_origin(point.position + s.wi * s.distance, s.normal, s.error, -s.wi) - origin
+        target = offset_origin(position + s.wi * s.distance, s.normal, s.error, -s.wi) - origin
         distance = wp.length(target)
         if distance > 0.0:
             direction = target / distance
@@ -133,6 +132,15 @@ def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.
         paths.shadow_distance[path] = distance
         if s.shadow == 0:
             paths.shadow_distance[path] = -distance
+
+
+@wp.func
+def set_shadow_ray(scene: Scene, point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths, path: int):
+    """Store the shadow ray of a light sample for a surface and what it carries."""
+    if s.kind == LIGHT_ENVIRONMENT and scene.environment.constant == 1 and wp.dot(lit_side(point, s.wi), s.wi) <= 0.0:
+        # Cycles lets paths alone find a world of one colour: from behind the triangle none does.
+        return
+    aim_shadow_ray(scene, point.position, shadow_origin(scene.geometry, point, s.wi), s, light, paths, path)
 
 
 @wp.func
@@ -238,12 +246,7 @@ def sample_direct_light(
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     side = front_of(bsdf)
     throughput = paths.throughput[path]
-    kept = LightSample()
-    kept.kind = -1
-    light = wp.vec3(0.0, 0.0, 0.0)
-    target = float(1.0)
-    total = float(0.0)
-    left = sample_number(seed, index, dimension + DIMENSION_RESAMPLE)
+    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
@@ -254,20 +257,10 @@ def sample_direct_light(
             here = wp.cw_mul(throughput, arriving(point, bsdf, s))
             value = wp.dot(here, scene.luminance) * s.brightness
             if is_finite3(here) and value > 0.0:
-                total = total + value
-                share = value / total
-                # What is left of a number after each decision is uniform again.
-                if left < share:
-                    left = left / share
-                    kept = s
-                    light = here
-                    target = value
-                else:
-                    left = (left - share) / (1.0 - share)
+                choice = consider(choice, s, here, value)
         k = k + 1
-    if kept.kind >= 0 and wp.isfinite(total):
-        light = light * (total / (target * float(LIGHT_CANDIDATES)))
-        set_shadow_ray(scene, point, kept, light, paths, path)
+    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
+        set_shadow_ray(scene, point, choice.kept, chosen_light(choice, LIGHT_CANDIDATES), paths, path)
 
 
 @wp.func

@@ -319,10 +319,15 @@ def scattered_ray(
 
 @wp.func
 def last_of(surfaces: int, segments: int) -> int:
-    """Return what meet_surface takes for `last`, for the hit of that segment in a ray of so many."""
+    """Return what meet_surface takes for `last`, for the hit of that segment in a ray of so many.
+
+    The host calls it too, where segments have launches of their own.
+    """
     if surfaces < segments:
         return 0
-    return wp.where(surfaces < segments + GLASS_FACTOR * (segments - 1), LAST_OUTSIDE, LAST_CAUGHT)
+    if surfaces < segments + GLASS_FACTOR * (segments - 1):
+        return LAST_OUTSIDE
+    return LAST_CAUGHT
 
 
 @wp.func

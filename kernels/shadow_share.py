@@ -14,6 +14,7 @@ import warp as wp
 from .geometry_math import luminance
 from .lamp_sample import LightSample
 from .layering import prepare_bsdf
+from .light_choice import choice_of_none, consider
 from .light_linking import kinds_lit
 from .lights import class_total, sample_light_of
 from .path_shading import candidate_place, front_of, set_shadow_ray, visible_part
@@ -58,29 +59,20 @@ def aim_at_lamp(scene: Scene, paths: Paths, path: int) -> float:
     index = paths.index[path]
     place = sample_pair(seed, index, DIMENSION_FIRST_BOUNCE + DIMENSION_LIGHT)
     refill = sample_number(seed, index, DIMENSION_FIRST_BOUNCE + DIMENSION_LIGHT_CHOICE)
-    left = sample_number(seed, index, DIMENSION_FIRST_BOUNCE + DIMENSION_RESAMPLE)
     side = front_of(bsdf)
     classes = class_total(scene.lights, side)
-    kept = LightSample()
-    kept.kind = -1
-    total = float(0.0)
+    choice = choice_of_none(sample_number(seed, index, DIMENSION_FIRST_BOUNCE + DIMENSION_RESAMPLE))
     k = int(0)
     while k < CANDIDATES:
         u = candidate_place(place, float(k), CANDIDATES)
         s = sample_light_of(scene, classes, point.position, side, u, refill)
         sent = sent_by(scene, point, bsdf, s)
         if sent > 0.0:
-            total = total + sent
-            share = sent / total
-            if left < share:
-                left = left / share
-                kept = s
-            else:
-                left = (left - share) / (1.0 - share)
+            choice = consider(choice, s, wp.vec3(1.0, 1.0, 1.0), sent)
         k = k + 1
-    total = total / float(CANDIDATES)
-    if kept.kind >= 0:
-        set_shadow_ray(scene, point, kept, wp.vec3(total, total, total), paths, path)
+    total = choice.total / float(CANDIDATES)
+    if choice.kept.kind >= 0:
+        set_shadow_ray(scene, point, choice.kept, wp.vec3(total, total, total), paths, path)
     return total
 
 

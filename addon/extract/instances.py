@@ -21,13 +21,12 @@ from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
 from .linking import Linking, links_of
 from .object_hash import object_random_id
-from .properties import property_columns, property_of
+from .properties import UNUSED_ID, property_columns, property_of
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
            "look_of", "placeable", "read_transforms"]
 
 _CANCEL_INTERVAL = 4096
-_UNUSED_PERSISTENT_ID = 0x7FFFFFFF
 _MORE_INSTANCES = 64
 """Instances that may appear unannounced; more make Blender print a warning"""
 
@@ -332,7 +331,7 @@ def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.
     rows = gathered.rows
     gathered.transforms = read_transforms(depsgraph, drawn)
     is_self = np.array([placement.parent_uid is None for placement in gathered.placements], bool)[rows]
-    persistent = np.full((count, 8), _UNUSED_PERSISTENT_ID, np.int32)
+    persistent = np.full((count, 8), UNUSED_ID, np.int32)
     if not is_self.all():
         instances.foreach_get("persistent_id", persistent.reshape(-1))
     gathered.persistent_ids = persistent[drawn]

@@ -19,7 +19,7 @@ from ...engine.mesh_features import hashed
 from ...engine.object_properties import particle_output, split_name
 from .mesh import ATTRIBUTE_TYPES, read_vec4
 
-__all__ = ["LayerProperties", "property_columns", "property_of"]
+__all__ = ["UNUSED_ID", "LayerProperties", "property_columns", "property_of"]
 
 Color = tuple[float, float, float, float]
 

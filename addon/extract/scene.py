@@ -238,11 +238,12 @@ class SceneExtractor:
             if key is not None and source.uid in changes.geometry:
                 new.setdefault(key, source)
         wanted = self._wanted_attributes(keys, gathered.sources)
+        none: frozenset[str] = frozenset()
         for key, source in zip(keys, gathered.sources, strict=True):
-            if wanted.get(key, frozenset()) - self._derived.get(key, frozenset()):
+            if wanted.get(key, none) - self._derived.get(key, none):
                 new.setdefault(key, source)
-        self._derived = {key: wanted.get(key, frozenset()) | (frozenset() if key in new else old)
-                         for key, old in ((key, self._derived.get(key, frozenset())) for key in set(keys) - {None})}
+        self._derived = {key: wanted.get(key, none) | (none if key in new else self._derived.get(key, none))
+                         for key in set(keys) - {None}}
         for number, (key, source) in enumerate(new.items()):
             callbacks.step(f"Reading mesh '{source.name}'", number / len(new))
             data = self._read_mesh(key, source)

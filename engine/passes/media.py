@@ -17,10 +17,11 @@ from ...kernels.media import Media, MediaPaths
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch
+from ..history import copy_struct
 from .path_light import PathLight
 from .wavefront import Step, Wavefront
 
-__all__ = ["MEDIA_BYTES", "PathMedia", "fit_media"]
+__all__ = ["MEDIA_BYTES", "PathMedia", "fit_media", "make_media_paths"]
 
 MEDIA_BYTES = 44
 """Of what is kept of one path, and its place in a list"""
@@ -68,9 +69,7 @@ class PathMedia:
     def shadow_steps(self, slot: Wavefront, scene: Scene, options: Options, over: str = "living") -> list[Step]:
         """Return what traces the shadow rays of the paths of a list and adds their light."""
         # None is done with when nothing opaque is in its way.
-        waiting = Options()
-        for name in Options.vars:
-            setattr(waiting, name, getattr(options, name))
+        waiting = copy_struct(options)
         waiting.filtered = 1
         steps = [Step(tracing.trace_shadows, [scene, waiting, slot.rounds], over),
                  Step(media_shadows.weaken_in_media, [scene, options, self.media, slot.rounds], over,
@@ -80,14 +79,19 @@ class PathMedia:
         return steps
 
 
+def make_media_paths(count: int, device: str) -> MediaPaths:
+    """Allocate what is kept of `count` paths."""
+    kept = MediaPaths()
+    for name, dtype in (("objects", wp.vec4i), ("media", wp.vec4i), ("backfacing", int), ("first", int)):
+        setattr(kept, name, wp.zeros(count, dtype=dtype, device=device))
+    return kept
+
+
 def fit_media(slot: Wavefront, media: Media | None) -> None:
     """Make room beside the states of paths for a scene's media, or note that it has none."""
     if media is None:
         slot.media = None
     elif slot.media is None:
-        kept = MediaPaths()
-        for name, dtype in (("objects", wp.vec4i), ("media", wp.vec4i), ("backfacing", int), ("first", int)):
-            setattr(kept, name, wp.zeros(slot.capacity, dtype=dtype, device=slot.device))
-        slot.media = PathMedia(media, kept, slot.device)
+        slot.media = PathMedia(media, make_media_paths(slot.capacity, slot.device), slot.device)
     else:
         slot.media.media = media

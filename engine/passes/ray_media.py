@@ -7,11 +7,12 @@ import warp as wp
 
 from ...kernels import reflection_chain, reflection_media
 from ...kernels.gbuffer import GBuffer
-from ...kernels.media import Media, MediaPaths
+from ...kernels.media import Media
 from ...kernels.paths import Paths
 from ...kernels.types import Scene
 from ..frame_graph import FrameGraph
 from ..work_list import WorkList
+from .media import make_media_paths
 
 __all__ = ["RayMedia", "last_of"]
 
@@ -22,9 +23,7 @@ class RayMedia:
     def __init__(self, media: Media, scene: Scene, count: int, device: str):
         """Make room for `count` rays."""
         self.media, self.scene = media, scene
-        self.kept = MediaPaths()
-        for name, dtype in (("objects", wp.vec4i), ("media", wp.vec4i), ("backfacing", int), ("first", int)):
-            setattr(self.kept, name, wp.zeros(count, dtype=dtype, device=device))
+        self.kept = make_media_paths(count, device)
         self.count = count
 
     def record_start(
@@ -54,9 +53,6 @@ def last_of(surfaces: int, segments: int, further: bool) -> int:
         segments: How many there are but in glass.
         further: Whether those in glass have launches of their own.
     """
-    if surfaces < segments:
-        return 0
-    if not further:
-        return int(reflection_chain.LAST)
-    glass = segments + int(reflection_chain.GLASS_FACTOR) * (segments - 1)
-    return int(reflection_chain.LAST_OUTSIDE if surfaces < glass else reflection_chain.LAST_CAUGHT)
+    if further:
+        return int(reflection_chain.last_of(surfaces, segments))
+    return 0 if surfaces < segments else int(reflection_chain.LAST)

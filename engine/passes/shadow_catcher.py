@@ -19,6 +19,7 @@ from ...kernels.film import Film
 from ...kernels.paths import Options
 from ..device import launch
 from ..emitters import find_emitters
+from ..history import arrays_of, copy_struct
 from ..light_linking import is_linked
 from ..light_table import build_lights
 from ..scene import Visibility
@@ -53,7 +54,6 @@ class ShadowCatchers:
     def __init__(self, device: str) -> None:
         self.device = device
         self._structures = Structures(device)
-        self._source: DeviceScene | None = None
         self._scenes: tuple[types.Scene, types.Scene, Options] | None = None
         self._film: shadow_catcher.CatcherFilm | None = None
         self._key: tuple = ()
@@ -77,7 +77,7 @@ class ShadowCatchers:
     def clear(self) -> None:
         """Forget all samples."""
         if self._film is not None:
-            for array in (self._film.lit, self._film.alone, self._film.backdrop):
+            for array in arrays_of(self._film):
                 array.zero_()
 
     def _make(self, source: DeviceScene) -> tuple[types.Scene, types.Scene]:
@@ -91,8 +91,8 @@ class ShadowCatchers:
         self._structures.build(plan, source.store, instances, 1e30)
         self._structures.fill(rows, plan, source.store)
         instances.assign(rows)
-        scene = copy_of(source.scene)
-        scene.geometry = copy_of(source.scene.geometry)
+        scene = copy_struct(source.scene)
+        scene.geometry = copy_struct(source.scene.geometry)
         self._structures.write(scene.geometry)
         scene.geometry.instances = instances
         emitters = find_emitters(source.scene, plan, table, source.store, source.materials, self.device)
@@ -100,8 +100,8 @@ class ShadowCatchers:
         scene.lights = build_lights(
             source.lamps, emitters, power, source.radius, self.device, tables=source.lamp_tables.array,
             linked=is_linked(source.lights, table, source.emitting))
-        world = copy_of(scene)
-        world.lights = copy_of(scene.lights)
+        world = copy_struct(scene)
+        world.lights = copy_struct(scene.lights)
         world.lights.lamp_count = 0
         return scene, world
 
@@ -164,11 +164,3 @@ class ShadowCatchers:
             smooth = run(traced=None, picture=alpha)
             launch(shadow_catcher.take_alpha, len(picture), [smooth], [denoised], self.device)
         return denoised
-
-
-def copy_of(struct: object) -> object:
-    """Return a struct with the same values."""
-    made = type(struct)()
-    for name in struct._cls.vars:
-        setattr(made, name, getattr(struct, name))
-    return made
