@@ -7,19 +7,46 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+FOLDER = str(Path(__file__).resolve().parent)
+
+IMPORTS = "sys.path.insert(0, {folder!r})\nfrom {module} import *\n"
+
+PICTURES_TIMEOUT = 1200.0
+"""The first run may have to build all kernels"""
+
+
+def result_of(process: subprocess.CompletedProcess) -> Any:
+    """Return what a script has finished with; it must have come to its end."""
+    lines = [line for line in process.stdout.splitlines() if line.startswith("RESULT ")]
+    assert process.returncode == 0 and lines, process.stdout + process.stderr
+    return json.loads(lines[-1].removeprefix("RESULT "))
 
 
 @pytest.fixture(scope="session")
 def run_extraction(run_python: Callable[..., subprocess.CompletedProcess]) -> Callable[[str], dict]:
     """Return a function that runs a script with everything of extract_scenes.py and returns what it finished with."""
-    folder = str(Path(__file__).resolve().parent)
-
     def run(script: str) -> dict:
-        process = run_python(f"sys.path.insert(0, {folder!r})\nfrom extract_scenes import *\n" + script)
-        lines = [line for line in process.stdout.splitlines() if line.startswith("RESULT ")]
-        assert process.returncode == 0 and lines, process.stdout + process.stderr
-        return json.loads(lines[-1].removeprefix("RESULT "))
+        return result_of(run_python(IMPORTS.format(folder=FOLDER, module="extract_scenes") + script))
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def run_pictures(
+    run_python: Callable[..., subprocess.CompletedProcess], device: str, tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[..., Any]:
+    """Return a function that runs a script with everything of pictures.py, `run(script, *arguments)`.
+
+    It returns what the script finished with; arguments are its third and further ones.
+    """
+    def run(script: str, *arguments: object) -> Any:
+        chosen = "CPU" if device == "cpu" else "CUDA"
+        return result_of(run_python(
+            IMPORTS.format(folder=FOLDER, module="pictures") + script, chosen, tmp_path_factory.mktemp("pictures"),
+            *arguments, timeout=PICTURES_TIMEOUT))
 
     return run

@@ -6,11 +6,11 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
+
+from tests.exr_passes import read_passes
 
 SIZE = 72, 48
 TIMEOUT = 600.0
@@ -103,18 +103,6 @@ burnish.unregister()
 """
 
 
-def read_passes(path: Path) -> dict[str, np.ndarray]:
-    """Return the passes of a file, [h, w, 3] each."""
-    channels, part = {}, 0
-    file = oiio.ImageInput.open(str(path))
-    while file.seek_subimage(part, 0):
-        names = file.spec().channelnames
-        pixels = file.read_image(part, 0, 0, len(names), oiio.FLOAT)
-        channels |= {name: pixels[..., i] for i, name in enumerate(names)}
-        part += 1
-    return {name: np.stack([channels[f"ViewLayer.{name}.{c}"] for c in "RGB"], -1) for name in (*NAMES, *GROUPS)}
-
-
 @pytest.fixture(scope="module")
 def pictures(
     run_python: Callable[..., subprocess.CompletedProcess], tmp_path_factory: pytest.TempPathFactory,
@@ -123,7 +111,8 @@ def pictures(
     folder = tmp_path_factory.mktemp("passes")
     result = run_python(SCENE, json.dumps(NAMES), json.dumps(SIZE), folder, timeout=TIMEOUT)
     assert result.returncode == 0 and "Traceback" not in result.stderr, result.stdout + result.stderr
-    return read_passes(folder / "BURNISH.exr"), read_passes(folder / "CYCLES.exr")
+    names = (*NAMES, *GROUPS)
+    return read_passes(folder / "BURNISH.exr", names), read_passes(folder / "CYCLES.exr", names)
 
 
 def test_passes_make_up_the_picture(pictures) -> None:

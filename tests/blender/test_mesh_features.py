@@ -3,29 +3,19 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT = 1200.0
-"""The first run may have to build all kernels"""
-
 CODE = r'''
-import json, bpy, burnish, numpy as np
-import OpenImageIO as oiio
 from burnish.addon.extract.scene import SceneExtractor
-from burnish.addon import final
 from burnish.engine.report import Report
 
-device, folder = sys.argv[1], sys.argv[2]
-burnish.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
+scene = new_scene()
 
 def shining(output):
     made = bpy.data.materials.new(output)
@@ -68,28 +58,8 @@ bumps = bpy.data.meshes.new("bumps")
 bumps.from_pydata(vertices, [], faces)
 place("bumps", bumps, shining("Pointiness"), 0.2)
 
-camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-camera.data.type, camera.data.ortho_scale, camera.location = 'ORTHO', 4.6, (0.0, 1.0, 5.0)
-scene.collection.objects.link(camera)
-scene.camera = camera
-scene.render.resolution_x, scene.render.resolution_y = 96, 48
-scene.view_settings.view_transform = 'Raw'
-scene.render.image_settings.file_format = 'OPEN_EXR'
-scene.render.image_settings.color_depth = '32'
-
-def picture(engine):
-    scene.render.engine = engine
-    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 16, False, 'BOX'
-    scene.burnish.sampling.samples, scene.burnish.sampling.integrator = 16, 'REFERENCE'
-    scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', device
-    scene.render.filepath = f"{folder}/{engine}.exr"
-    made = []
-    final.on_finished[:] = [lambda layer, view, pixels, information: made.append(information.report.text())]
-    bpy.ops.render.render(write_still=True)
-    return np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[..., 0], made
-
-ours, report = picture('BURNISH')
-cycles, _ = picture('CYCLES')
+look_down(scene, (0.0, 1.0, 5.0), 4.6)
+(ours, report), (cycles, _) = (picture(scene, engine, (96, 48), 16) for engine in ('BURNISH', 'CYCLES'))
 
 # Which meshes are read when a material begins to ask.
 graph, extractor = bpy.context.evaluated_depsgraph_get(), SceneExtractor()
@@ -105,19 +75,14 @@ graph.update()
 second = extractor.extract(graph, viewport=False, report=Report())
 later = {data.name: sorted(data.attributes) for data in second.meshes.values()}
 third = extractor.extract(graph, viewport=False, report=Report())
-burnish.unregister()
-print("RESULT " + json.dumps([ours.tolist(), cycles.tolist(), report[0], names, later, len(third.meshes)]))
+finish([ours[..., 0].tolist(), cycles[..., 0].tolist(), report[0], names, later, len(third.meshes)])
 '''
 
 
 @pytest.fixture(scope="module")
-def results(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-            tmp_path_factory: pytest.TempPathFactory) -> list:
+def results(run_pictures: Callable[..., Any]) -> list:
     """Return both pictures, the report, and the attributes that meshes came with."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(CODE, chosen, tmp_path_factory.mktemp("features"), timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout.rpartition("RESULT ")[2])
+    return run_pictures(CODE)
 
 
 @pytest.mark.parametrize("half", ["islands", "bumps"])

@@ -3,29 +3,19 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT = 1200.0
-"""The first run may have to build all kernels"""
-
 CODE = r'''
-import json, bpy, burnish, numpy as np
-import OpenImageIO as oiio
-from burnish.addon import final
 from burnish.addon.extract.scene import SceneExtractor
 from burnish.engine.report import Report
 
-burnish.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
+scene = new_scene()
 layer = scene.view_layers[0]
 ASKED = [('OBJECT', "color", "Color"), ('OBJECT', "color", "Alpha"), ('OBJECT', "color", "Fac"),
          ('OBJECT', "pass_index", "Fac"), ('OBJECT', "number", "Color"), ('OBJECT', "whole", "Fac"),
@@ -109,31 +99,11 @@ for column, kind in ((0, 'INSTANCER'), (4, 'OBJECT')):
     scene.collection.objects.link(item)
     geometry_nodes(item, square("source", shining(kind, "tint", "Color")))
 
-camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-camera.data.type, camera.data.ortho_scale, camera.location = 'ORTHO', 8.0, (4.0, 3.0, 5.0)
-scene.collection.objects.link(camera)
-scene.camera = camera
-scene.render.resolution_x, scene.render.resolution_y = 80, 60
-scene.view_settings.view_transform = 'Raw'
-scene.render.image_settings.file_format = 'OPEN_EXR'
-scene.render.image_settings.color_depth = '32'
-
-def picture(engine):
-    scene.render.engine = engine
-    scene.cycles.samples, scene.cycles.use_denoising = 4, False
-    scene.burnish.sampling.reference_samples = 4
-    scene.burnish.integrator = 'REFERENCE'
-    scene.burnish.performance.device = device
-    scene.render.filepath = f"{folder}/{engine}.exr"
-    made = []
-    final.on_finished[:] = [lambda layer, view, pixels, information: made.append(information.report.text())]
-    bpy.ops.render.render(write_still=True)
-    return np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[::-1, :, :3], made
-
-ours, report = picture('BURNISH')
-cycles, _ = picture('CYCLES')
+look_down(scene, (4.0, 3.0, 5.0), 8.0)
+(ours, report), (cycles, _) = (picture(scene, engine, (80, 60), 4) for engine in ('BURNISH', 'CYCLES'))
 # The middle of each square; picture rows count from below.
 def cells(values):
+    values = values[::-1, :, :3]
     return [values[10 * row + 3:10 * row + 6, 10 * column + 3:10 * column + 6].mean((0, 1)).tolist()
             for row in range(6) for column in range(8)]
 
@@ -148,21 +118,14 @@ graph.update()
 other = extractor.extract(graph, viewport=False, report=Report())
 facts = {"same": same.instances is None and not same.materials, "table": other.instances is not None,
          "materials": [data.name for data in other.materials.values()]}
-burnish.unregister()
-print("RESULT " + json.dumps([cells(ours), cells(cycles), report[0], facts, len(ASKED)]))
+finish([cells(ours), cells(cycles), report[0], facts, len(ASKED)])
 '''
-
-RUNNER = "device, folder = sys.argv[1], sys.argv[2]\n" + CODE
 
 
 @pytest.fixture(scope="module")
-def results(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-            tmp_path_factory: pytest.TempPathFactory) -> list:
+def results(run_pictures: Callable[..., Any]) -> list:
     """Return what both engines show in each cell, the report, and what updates brought."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(RUNNER, chosen, tmp_path_factory.mktemp("properties"), timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout.rpartition("RESULT ")[2])
+    return run_pictures(CODE)
 
 
 def test_properties_are_those_of_cycles(results: list) -> None:
@@ -185,13 +148,7 @@ def test_updates_bring_what_changed(results: list) -> None:
 
 
 PARTICLES = r'''
-import json, sys, bpy, burnish, numpy as np
-import OpenImageIO as oiio
-
-device, folder = sys.argv[1], sys.argv[2]
-burnish.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
+scene = new_scene()
 OUTPUTS = ("Index", "Random", "Age", "Lifetime", "Location", "Size", "Velocity", "Angular Velocity")
 
 def square(name, x, size):
@@ -221,38 +178,17 @@ for column, output in enumerate(OUTPUTS):
     settings.render_type, settings.instance_object = 'OBJECT', shown
     settings.normal_factor, settings.factor_random = 0.05, 0.1
     settings.effector_weights.gravity = 0.0
-camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-camera.data.type, camera.data.ortho_scale, camera.location = 'ORTHO', 8.4, (3.5, 0.0, 5.0)
-scene.collection.objects.link(camera)
-scene.camera = camera
+look_down(scene, (3.5, 0.0, 5.0), 8.4)
 for frame in range(1, 11):
     scene.frame_set(frame)
-scene.render.resolution_x, scene.render.resolution_y = 160, 24
-scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
-
-def picture(engine):
-    scene.render.engine = engine
-    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 16, False, 'BOX'
-    scene.burnish.sampling.samples, scene.burnish.sampling.integrator = 16, 'REFERENCE'
-    scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', device
-    scene.render.filepath = f"{folder}/{engine}.exr"
-    bpy.ops.render.render(write_still=True)
-    return np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[..., :3].tolist()
-
-pictures = [picture('BURNISH'), picture('CYCLES')]
-burnish.unregister()
-print("RESULT " + json.dumps(pictures))
+finish([picture(scene, engine, (160, 24), 16)[0][..., :3].tolist() for engine in ('BURNISH', 'CYCLES')])
 '''
 
 
-def test_particle_info_is_that_of_cycles(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-                                         tmp_path: Path) -> None:
+def test_particle_info_is_that_of_cycles(run_pictures: Callable[..., Any]) -> None:
     """Show what Particle Info tells of the particles that made squares as Cycles does, but where edges are."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(PARTICLES, chosen, tmp_path, timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
     # This engine shows no negative light.
-    ours, cycles = np.maximum(np.array(json.loads(process.stdout.rpartition("RESULT ")[2])), 0.0)
+    ours, cycles = np.maximum(np.array(run_pictures(PARTICLES)), 0.0)
     columns = 160 / 8.4
     for number in range(8):
         part = slice(int(columns * (number + 0.2)), int(columns * (number + 1.2)))

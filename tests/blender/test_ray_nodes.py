@@ -3,26 +3,16 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT = 1200.0
-"""The first run may have to build all kernels"""
-
 CODE = r'''
-import json, bpy, burnish, mathutils, numpy as np
-import OpenImageIO as oiio
-
-device, folder = sys.argv[1], sys.argv[2]
-burnish.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
+scene = new_scene()
 
 def simple(name, shader, **values):
     made = bpy.data.materials.new(name)
@@ -69,38 +59,15 @@ pane = simple("pane", "ShaderNodeBsdfRefraction", Color=(1.0, 1.0, 1.0, 1.0), Ro
 square("pane", pane, (-1.6, -0.4, 0.5), 1.4)
 square("second pane", pane, (-1.3, -0.2, 0.9), 0.9)
 
-camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-camera.location = (0.0, -6.0, 2.2)
-camera.rotation_euler = (mathutils.Vector((0.0, 0.6, 0.7)) - camera.location).to_track_quat('-Z', 'Y').to_euler()
-scene.collection.objects.link(camera)
-scene.camera = camera
-scene.render.resolution_x, scene.render.resolution_y = 96, 60
-scene.render.image_settings.file_format, scene.render.image_settings.color_depth = 'OPEN_EXR', '32'
-
-def picture(engine):
-    scene.render.engine = engine
-    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 16, False, 'BOX'
-    scene.cycles.use_adaptive_sampling = False
-    scene.burnish.sampling.samples, scene.burnish.sampling.integrator = 16, 'REFERENCE'
-    scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', device
-    scene.render.filepath = f"{folder}/{engine}.exr"
-    bpy.ops.render.render(write_still=True)
-    return np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[..., :3].tolist()
-
-pictures = [picture('BURNISH'), picture('CYCLES')]
-burnish.unregister()
-print("RESULT " + json.dumps(pictures))
+add_camera(scene, (0.0, -6.0, 2.2), (0.0, 0.6, 0.7))
+finish([picture(scene, engine, (96, 60), 16)[0][..., :3].tolist() for engine in ('BURNISH', 'CYCLES')])
 '''
 
 
 @pytest.fixture(scope="module")
-def pictures(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-             tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+def pictures(run_pictures: Callable[..., Any]) -> np.ndarray:
     """Return this engine's picture and Cycles': [2, h, w, 3]."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(CODE, chosen, tmp_path_factory.mktemp("rays"), timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
-    return np.array(json.loads(process.stdout.rpartition("RESULT ")[2]))
+    return np.array(run_pictures(CODE))
 
 
 @pytest.mark.parametrize(("channel", "values"), [(0, (0.2, 0.4)), (1, (0.2, 0.4))], ids=["glossy", "transmission"])

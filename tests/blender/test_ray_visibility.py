@@ -4,29 +4,20 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT = 1200.0
-"""The first run may have to build all kernels"""
-
 SWITCHES = ("visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow",
             "is_holdout")
 
 CODE = r'''
-import json, bpy, burnish, mathutils, numpy as np
-import OpenImageIO as oiio
-from burnish.addon import final
-
-device, folder, switches = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
-burnish.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
+switches = json.loads(sys.argv[3])
+scene = new_scene()
 scene.view_layers[0].use_pass_object_index = True
 names = []
 
@@ -75,13 +66,13 @@ settings.samples, settings.use_adaptive_sampling, settings.use_denoising = 256, 
 settings.sample_clamp_indirect, settings.blur_glossy, settings.pixel_filter_type = 0, 0, 'BOX'
 settings.max_bounces = settings.diffuse_bounces = settings.glossy_bounces = settings.transmission_bounces = 32
 scene.burnish.sampling.samples, scene.burnish.sampling.integrator = 192, 'REFERENCE'
-scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', device
+scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', DEVICE
 
 def means():
     made, pictures = [], []
     final.on_finished[:] = [lambda layer, view, pixels, information: made.append(pixels)]
     for engine in ('BURNISH', 'CYCLES'):
-        scene.render.engine, scene.render.filepath = engine, f"{folder}/{engine}.exr"
+        scene.render.engine, scene.render.filepath = engine, f"{FOLDER}/{engine}.exr"
         bpy.ops.render.render(write_still=True)
         pictures.append(np.array(oiio.ImageBuf(scene.render.filepath).get_pixels())[::-1, :, :3])
     index = np.rint(made[0]["Object Index"][..., 0]).astype(int)
@@ -93,19 +84,14 @@ for switch in switches:
     setattr(cube, switch, switch == "is_holdout")
     results[switch] = means()
     setattr(cube, switch, switch != "is_holdout")
-burnish.unregister()
-print("RESULT " + json.dumps(results))
+finish(results)
 '''
 
 
 @pytest.fixture(scope="module")
-def results(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-            tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+def results(run_pictures: Callable[..., Any]) -> dict[str, dict]:
     """Return by switch and object the mean colors of both engines; "" is the scene without any."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(CODE, chosen, tmp_path_factory.mktemp("visibility"), json.dumps(SWITCHES), timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout.rpartition("RESULT ")[2])
+    return run_pictures(CODE, json.dumps(SWITCHES))
 
 
 @pytest.mark.parametrize("switch", SWITCHES)

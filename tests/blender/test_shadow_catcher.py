@@ -3,38 +3,21 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.slow
 
-TIMEOUT = 1200.0
-"""The first run may have to build all kernels"""
-
 CODE = r'''
-import json, bpy, burnish, mathutils, numpy as np
-import OpenImageIO as oiio
-from burnish.addon import final
-
-device, folder = sys.argv[1], sys.argv[2]
-burnish.register()
-
 def build(kind):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
+    scene = new_scene()
     scene.world = bpy.data.worlds.new("World")
     background = scene.world.node_tree.nodes["Background"]
     background.inputs[0].default_value, background.inputs[1].default_value = (0.3, 0.5, 0.8, 1.0), 0.6
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    scene.collection.objects.link(camera)
-    camera.location = (0.0, -6.0, 3.0)
-    direction = mathutils.Vector((0.0, 0.0, 0.6)) - camera.location
-    camera.rotation_euler = direction.to_track_quat('-Z', 'Y').to_euler()
-    scene.camera = camera
+    add_camera(scene, (0.0, -6.0, 3.0), (0.0, 0.0, 0.6))
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
     sun.data.energy, sun.data.angle, sun.rotation_euler = 3.0, 0.05, (0.6, 0.5, 0.0)
     scene.collection.objects.link(sun)
@@ -62,11 +45,11 @@ def picture(scene, engine, samples):
     settings.samples, settings.use_adaptive_sampling, settings.use_denoising = samples, False, False
     settings.sample_clamp_indirect, settings.blur_glossy, settings.pixel_filter_type = 0, 0, 'BOX'
     settings.max_bounces = settings.diffuse_bounces = settings.glossy_bounces = 32
-    scene.burnish.device, scene.burnish.film.pixel_filter = device, 'BOX'
+    scene.burnish.device, scene.burnish.film.pixel_filter = DEVICE, 'BOX'
     scene.burnish.sampling.samples = samples
     render.image_settings.file_format, render.image_settings.color_depth = 'OPEN_EXR', '32'
     render.image_settings.color_mode = 'RGBA'
-    render.filepath = f"{folder}/{engine}.exr"
+    render.filepath = f"{FOLDER}/{engine}.exr"
     made = []
     final.on_finished[:] = [lambda layer, view, pixels, information: made.append(information.report.text())]
     bpy.ops.render.render(write_still=True)
@@ -88,19 +71,14 @@ denoised = picture(scene, 'BURNISH', 16)[0][40:58, 60:92, 3]
 scene.burnish.denoiser.final_denoise = False
 noisy = picture(scene, 'BURNISH', 16)[0][40:58, 60:92, 3]
 results["denoised"] = [float(denoised.std()), float(noisy.std()), float(denoised.mean() - noisy.mean())]
-burnish.unregister()
-print("RESULT " + json.dumps(results))
+finish(results)
 '''
 
 
 @pytest.fixture(scope="module")
-def results(run_python: Callable[..., subprocess.CompletedProcess], device: str,
-            tmp_path_factory: pytest.TempPathFactory) -> dict[str, list]:
+def results(run_pictures: Callable[..., Any]) -> dict[str, list]:
     """Return by scene both engines' means, how far pixels are from each other, and the report."""
-    chosen = "CPU" if device == "cpu" else "CUDA"
-    process = run_python(CODE, chosen, tmp_path_factory.mktemp("catcher"), timeout=TIMEOUT)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout.rpartition("RESULT ")[2])
+    return run_pictures(CODE)
 
 
 @pytest.mark.parametrize("name", ["ball, clear", "ball, world", "mirror, clear", "wall, clear", "wall, world"])

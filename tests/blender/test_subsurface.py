@@ -8,8 +8,9 @@ import subprocess
 from collections.abc import Callable
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
+
+from tests.exr_passes import read_passes
 
 pytestmark = pytest.mark.slow
 
@@ -98,14 +99,7 @@ def means(
     assert result.returncode == 0 and "Traceback" not in result.stderr, result.stdout + result.stderr
     found = []
     for name in ("BURNISH", "CYCLES"):
-        channels, part = {}, 0
-        file = oiio.ImageInput.open(f"{folder / name}.exr")
-        while file.seek_subimage(part, 0):
-            names = file.spec().channelnames
-            pixels = file.read_image(part, 0, 0, len(names), oiio.FLOAT)
-            channels |= {name: pixels[..., i] for i, name in enumerate(names)}
-            part += 1
-        passes = {name: np.stack([channels[f"ViewLayer.{name}.{c}"] for c in "RGB"], -1) for name in NAMES}
+        passes = read_passes(folder / f"{name}.exr", NAMES)
         for lobe in ("Diffuse", "Glossy"):
             for part in ("Direct", "Indirect"):
                 passes[f"{lobe} {part}"] = passes[f"{lobe} {part}"] * passes[f"{lobe} Color"]

@@ -8,8 +8,9 @@ import subprocess
 from collections.abc import Callable
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
+
+from tests.exr_passes import read_passes
 
 NAMES = ("Combined", "Volume Direct", "Volume Indirect")
 PIXELS = 16
@@ -161,14 +162,7 @@ def means(
     assert result.returncode == 0 and "Traceback" not in result.stderr, result.stdout + result.stderr
     found = []
     for name in ("BURNISH", "CYCLES"):
-        channels, part = {}, 0
-        file = oiio.ImageInput.open(f"{folder / name}.exr")
-        while file.seek_subimage(part, 0):
-            names = file.spec().channelnames
-            pixels = file.read_image(part, 0, 0, len(names), oiio.FLOAT)
-            channels |= {each: pixels[..., i] for i, each in enumerate(names)}
-            part += 1
-        passes = {each: np.stack([channels[f"ViewLayer.{each}.{c}"] for c in "RGB"], -1) for each in NAMES}
+        passes = read_passes(folder / f"{name}.exr", NAMES)
         found.append({each: pixels.reshape(PIXELS, len(CASES), PIXELS, 3).mean((0, 2), dtype=np.float64)
                       for each, pixels in passes.items()})
     return found[0], found[1]
