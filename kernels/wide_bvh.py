@@ -154,7 +154,10 @@ LEAST_AND_MOST
     const bool nx = dx < 0.0f, ny = dy < 0.0f, nz = dz < 0.0f;
     const unsigned int inverse_octant = 7u - ((nx ? 4u : 0u) | (ny ? 2u : 0u) | (nz ? 1u : 0u));
 SHEAR
-#ifndef __CUDA_ARCH__
+#ifdef __CUDA_ARCH__
+    // The bits of 1.0 in a register: as a constant they take the place of another one, which is then loaded each time.
+    const unsigned int one = 0x3f800000u + threadIdx.y;
+#else
     // A processor loads what it has turned: the origin, and where the turned axes lie.
     float oa, ob, oc;
     turned(ox, oy, oz, oa, ob, oc);
@@ -238,15 +241,33 @@ MEET
 """
 
 # A GPU's thread tests the children one by one, with bytes as the mantissa of a number in [1, 1.008): permutations run
-# at a higher rate than conversions. The rounding of the larger slope and offset errs by 0.002 quanta. A processor tests
-# all eight at once, in vectors: 1.3 to 1.8 times as fast.
+# at a higher rate than conversions. The rounding of the larger slope and offset errs by 0.002 quanta. Numbers from zero
+# on are in the order of their bits, and what a negative one is compared with is not: so all comparisons are those of
+# integers, of which Hopper has some with three operands. A box's far side is moved out by four steps of float32.
+# A processor tests all eight at once, in vectors: 1.3 to 1.8 times as fast.
 _TEST_BOXES = """
 #ifdef __CUDA_ARCH__
             const float gx = 32768.0f * ax, gy = 32768.0f * ay, gz = 32768.0f * az;
             const float hx = bx - gx, hy = by - gy, hz = bz - gz;
-            auto byte_of = [](unsigned int word, int k) -> float {
-                return __uint_as_float(__byte_perm(word, 0x3f800000u, 0x7604u | (unsigned int)(k << 4)));
+            auto byte_of = [&](unsigned int word, int k) -> float {
+                return __uint_as_float(__byte_perm(word, one, 0x7604u | (unsigned int)(k << 4)));
             };
+#if __CUDA_ARCH__ >= 900
+            auto entry = [](float x, float y, float z) -> int {
+                return __vimax3_s32_relu(__float_as_int(x), __float_as_int(y), __float_as_int(z));
+            };
+            auto exit = [&](float x, float y, float z) -> int {
+                return __viaddmin_s32(
+                    __vimin3_s32(__float_as_int(x), __float_as_int(y), __float_as_int(z)), 4, __float_as_int(best_t));
+            };
+#else
+            auto entry = [](float x, float y, float z) -> int {
+                return __float_as_int(fmaxf(fmaxf(x, y), fmaxf(z, 0.0f)));
+            };
+            auto exit = [&](float x, float y, float z) -> int {
+                return __float_as_int(fminf(fminf(x, y), fminf(z, best_t)) * 1.0000005f);
+            };
+#endif
             auto test_four = [&](unsigned int meta, unsigned int low_x, unsigned int low_y, unsigned int low_z,
                                  unsigned int high_x, unsigned int high_y, unsigned int high_z) {
                 const unsigned int inner = ((meta & (meta << 1)) & 0x10101010u) >> 4;
@@ -257,11 +278,11 @@ _TEST_BOXES = """
                 const unsigned int near_z = nz ? high_z : low_z, far_z = nz ? low_z : high_z;
                 #pragma unroll
                 for (int k = 0; k < 4; ++k) {
-                    const float t0 = most(most(fmaf(byte_of(near_x, k), gx, hx), fmaf(byte_of(near_y, k), gy, hy)),
-                                           most(fmaf(byte_of(near_z, k), gz, hz), 0.0f));
-                    const float t1 = least(least(fmaf(byte_of(far_x, k), gx, hx), fmaf(byte_of(far_y, k), gy, hy)),
-                                           least(fmaf(byte_of(far_z, k), gz, hz), best_t));
-                    if (t0 <= t1 * 1.0000005f)
+                    const int t0 = entry(fmaf(byte_of(near_x, k), gx, hx), fmaf(byte_of(near_y, k), gy, hy),
+                                         fmaf(byte_of(near_z, k), gz, hz));
+                    const int t1 = exit(fmaf(byte_of(far_x, k), gx, hx), fmaf(byte_of(far_y, k), gy, hy),
+                                        fmaf(byte_of(far_z, k), gz, hz));
+                    if (t0 <= t1)
                         hits |= ((bits4 >> (8 * k)) & 0xffu) << ((shift4 >> (8 * k)) & 0xffu);
                 }
             };
