@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 import warp as wp
 
+from ..kernels.lane_groups import GROUP
 from .device import record, run_bands, thread_count
 from .graph_priority import LEVELS, TRUNK, keep_priorities, make_stream
 from .work_list import FEW_THREADS, LISTED_THREADS, ONCE, WorkList, one_number
@@ -68,6 +69,8 @@ class FrameGraph:
     def __init__(self, device: str):
         self.device = device
         self.cuda = wp.get_device(device).is_cuda
+        self.lanes = GROUP if self.cuda else 1
+        """Threads to launch for each element of kernels whose threads share one (kernels/lane_groups.py)"""
         self.times: dict[str, float] = {}
         """Milliseconds of each section in the last timed replay, in the frame's order"""
         self.kernel_times: dict[str, float] = {}

@@ -12,6 +12,7 @@ import warp as wp
 from .flat_tracing import any_flat, closest_flat
 from .intersect import MISS, Hit
 from .layers import LAYER_STREAM
+from .list_order import first_dealt
 from .paths import ENDED, Options, Paths, load_hit, store_hit
 from .sampling import hash_combine
 from .shadow_layers import add_weakened
@@ -92,7 +93,7 @@ def trace_decided_further(
     paths_out: Paths,
 ):
     """Find what stops the further segments of listed rays; see flat_tracing.trace_flat_further."""
-    i = wp.tid()
+    i = first_dealt(wp.tid(), stride)
     while i < count[0]:
         slot = queue[i]
         if paths_out.state[slot] != ENDED:

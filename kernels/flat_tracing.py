@@ -13,6 +13,7 @@ import warp as wp
 from .cache_rays import finish_cache_shadow
 from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_hit, store_primary_layer
 from .intersect import MISS, Hit, Layer, any_static, closest_static, static_layer, static_shadow_layer
+from .list_order import first_dealt
 from .paths import ENDED, Options, Paths, load_hit, store_hit, take_layer
 from .pixel_order import pixel_in_blocks
 from .tracing import meet_shadow_layer
@@ -125,7 +126,7 @@ def trace_flat_further(
     paths_out: Paths,
 ):
     """Find what the further segments of listed rays meet; see reflection_trace.trace_further."""
-    i = wp.tid()
+    i = first_dealt(wp.tid(), stride)
     while i < count[0]:
         slot = queue[i]
         if paths_out.state[slot] != ENDED:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import is_finite3, luminance
+from .lane_groups import group_sum
 from .packing import HALF_MAX, from_half, rgb, rgba
 from .probe_rays import ProbeRays, distance_of, inverse_distance
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
@@ -117,6 +118,7 @@ def detect_changes(
     # In:
     grid: ProbeGrid,
     rays: ProbeRays,
+    lanes: int,
     # Out:
     updates_out: ProbeUpdates,
     pool_out: ProbePool,
@@ -126,21 +128,22 @@ def detect_changes(
     Every ray's departure from its cell's history, weighed by what the ray stands for, has mean 0 while nothing
     changes; their sum is judged by the root of the sum of their squares, or of the sum's own square in updates before
     where that is more: rays that all miss a small light are no change where that happens now and then. One bright ray
-    never is.
+    never is. `lanes` threads share an update (lane_groups.py).
     """
-    update = first + wp.tid()
+    update = (first + wp.tid()) // lanes
+    lane = (first + wp.tid()) % lanes
     count = updates_out.count[update]
     slot = updates_out.slot[update]
-    updates_out.change[update] = 1.0
-    if slot < 0 or grid.exact == 0:
-        return
-    if count <= 0.0:
-        pool_out.noise[slot] = 0.0
+    if slot < 0 or grid.exact == 0 or count <= 0.0:
+        if lane == 0:
+            updates_out.change[update] = 1.0
+            if slot >= 0 and grid.exact != 0:
+                pool_out.noise[slot] = 0.0
         return
     change = float(0.0)
     squares = float(0.0)
     known = float(0.0)
-    k = int(0)
+    k = lane
     while k < 8:
         cells = load_eight_bytes(updates_out.cell, update * 8 + k)
         # Without branches, so that eight rays wait for memory together.
@@ -156,7 +159,13 @@ def detect_changes(
             change = change + departure
             squares = squares + departure * departure
             known = known + weight * old
-        k = k + 1
+        k = k + lanes
+    change = group_sum(change, lanes)
+    squares = group_sum(squares, lanes)
+    known = group_sum(known, lanes)
+    if lane > 0:
+        return
+    updates_out.change[update] = 1.0
     noise = pool_out.noise[slot]
     if updates_out.fresh[update] == 1:
         noise = 0.0

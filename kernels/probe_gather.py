@@ -13,6 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import luminance, orthonormal_tangent, to_frame
+from .lane_groups import group_sum
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE, distance_of, inverse_distance
@@ -243,12 +244,15 @@ def gather_history(
 
 
 @wp.func
-def share_from_afar(updates: ProbeUpdates, update: int, way: float) -> float:
-    """Return the share of an update's history that looks the same from some way off [m]: what comes from afar."""
+def share_from_afar(updates: ProbeUpdates, update: int, way: float, lane: int, lanes: int) -> float:
+    """Return the share of an update's history that looks the same from some way off [m]: what comes from afar.
+
+    By all `lanes` threads of an update (lane_groups.py).
+    """
     alike = float(0.0)
     total = float(0.0)
     limit = wp.max(FAR_WAYS * way, 1.0e-9)
-    k = int(0)
+    k = lane
     while k < 8:
         # Without branches, so that eight cells wait for memory together.
         for i in range(8):
@@ -258,8 +262,8 @@ def share_from_afar(updates: ProbeUpdates, update: int, way: float) -> float:
             far = 1.0 / wp.max(limit * inverse, 1.0)
             alike = alike + light * far * far
             total = total + light
-        k = k + 1
-    return alike / wp.max(total, 1.0e-9)
+        k = k + lanes
+    return group_sum(alike, lanes) / wp.max(group_sum(total, lanes), 1.0e-9)
 
 
 @wp.kernel
@@ -270,29 +274,41 @@ def count_history(
     views: wp.array[View],
     tiles: ProbeTiles,
     pool: ProbePool,
+    lanes: int,
     # Out:
     updates_out: ProbeUpdates,
 ):
-    """Find how much each update's history is worth, and give cells without one the mean of the others as guide."""
-    update = first + wp.tid()
+    """Find how much each update's history is worth, and give cells without one the mean of the others as guide.
+
+    `lanes` threads share an update (lane_groups.py).
+    """
+    update = (first + wp.tid()) // lanes
+    lane = (first + wp.tid()) % lanes
     slot = updates_out.slot[update]
     if slot < 0:
         return
     view = load_view(views)
-    covered = int(0)
+    known = float(0.0)
     total = float(0.0)
-    k = int(0)
+    k = lane
     while k < 8:
         # Without branches, so that eight cells wait for memory together.
         for i in range(8):
             guide = updates_out.guide[update * CELLS + 8 * k + i]
-            covered = covered + wp.where(guide >= 0.0, 1, 0)
+            known = known + wp.where(guide >= 0.0, 1.0, 0.0)
             total = total + wp.where(guide >= 0.0, guide, 0.0)
-        k = k + 1
+        k = k + lanes
+    known = group_sum(known, lanes)
+    total = group_sum(total, lanes)
+    covered = int(known)
     if covered < CELLS:
-        for cell in range(CELLS):
-            if updates_out.guide[update * CELLS + cell] < 0.0:
-                updates_out.guide[update * CELLS + cell] = total / wp.max(float(covered), 1.0)
+        k = lane
+        while k < 8:
+            for i in range(8):
+                cell = update * CELLS + 8 * k + i
+                if updates_out.guide[cell] < 0.0:
+                    updates_out.guide[cell] = total / wp.max(known, 1.0)
+            k = k + lanes
     count = float(0.0)
     if updates_out.fresh[update] == 0:
         count = valid_count(view, pool, slot)
@@ -302,7 +318,7 @@ def count_history(
         width = probe_cell(view, project(view.camera, position)[2])
         found = float(0.0)
         apart = float(0.0)
-        i = int(0)
+        i = lane
         while i < 9:
             tile = neighbour_tile(grid, updates_out.tile[update], i % 3 - 1, i // 3 - 1)
             other = related_probe(pool, tiles, tile, position, normal, width)
@@ -311,10 +327,15 @@ def count_history(
                     count = count + valid_count(view, pool, other)
                     found = found + 1.0
                     apart = apart + wp.length(pool.position[other] - position)
-            i = i + 1
+            i = i + lanes
+        count = group_sum(count, lanes)
+        found = group_sum(found, lanes)
+        apart = group_sum(apart, lanes)
         count = wp.min(count / wp.max(found, 1.0), wp.max(FRESH_UPDATES - float(view.rest), 0.0))
         if count > 0.0:
-            count = count * share_from_afar(updates_out, update, apart / found)
+            count = count * share_from_afar(updates_out, update, apart / found, lane, lanes)
+    if lane > 0:
+        return
     # Longer at rest, by the updates since.
     turns = float(grid.side * grid.side)
     limit = wp.min((grid.history + float(view.rest)) / turns, 1024.0)

@@ -12,6 +12,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, Surface, has_surface, load_material, load_surface, plane_distance, view_direction
 from .geometry_math import luminance
+from .list_order import first_dealt
 from .lobe_moments import reflection_lobe
 from .packed_halves import unpack_pairs
 from .packing import rgb, to_half, unpack_normal
@@ -355,7 +356,7 @@ def fill_gaps(
 
     Confidence is 0.5 where they are on the same surface, 0 where the value comes from another one or there is none.
     """
-    i = wp.tid()
+    i = first_dealt(wp.tid(), stride)
     while i < count[0]:
         pixel = queue[i]
         i = i + stride

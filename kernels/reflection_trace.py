@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .intersect import closest_hit, closest_layer
+from .list_order import first_dealt
 from .paths import ENDED, Paths, store_hit, take_layer
 from .types import Scene
 
@@ -27,7 +28,7 @@ def trace_further(
 
     `filtered` 1: the first triangle before it that needs a test, too. For flat scenes see trace_flat_further.
     """
-    i = wp.tid()
+    i = first_dealt(wp.tid(), stride)
     while i < count[0]:
         slot = queue[i]
         if paths_out.state[slot] != ENDED:

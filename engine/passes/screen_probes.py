@@ -159,10 +159,11 @@ class ScreenProbePass:
             graph.launch(spawn.list_empty, self.tile_count, [], [tiles], banded=False)
             graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
                          [updates])
-        count = self.rays_a_frame
+        count, lanes = self.rays_a_frame, graph.lanes
         with graph.section("Probe rays"):
             graph.launch(probe_gather.gather_history, count, [grid, views, tiles, pool, self.cosines], [updates])
-            graph.launch(probe_gather.count_history, self.update_count, [grid, views, tiles, pool], [updates])
+            graph.launch(probe_gather.count_history, lanes * self.update_count,
+                         [grid, views, tiles, pool, lanes], [updates])
             graph.launch(probe_place.commit_updates, self.update_count, [views, updates], [pool, tiles], banded=False)
             graph.launch(probe_sample.make_rays, count, [grid, views, gbuffer, pool], [updates, self.rays])
         return self.rays, count
@@ -178,7 +179,8 @@ class ScreenProbePass:
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         with graph.section("Probe blending"):
-            graph.launch(probe_blend.detect_changes, self.update_count, [grid, self.rays], [updates, pool])
+            graph.launch(probe_blend.detect_changes, graph.lanes * self.update_count, [grid, self.rays, graph.lanes],
+                         [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
             graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
             graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, pool], [updates])
@@ -192,7 +194,7 @@ class ScreenProbePass:
             graph.fill_list(compaction.append_unfilled, self.width * self.height, [self.irradiance], self.unfilled)
             graph.launch_listed(
                 probe_interpolate.fill_gaps, [grid, views, gbuffer, self.records, tiles, pool, self.moments],
-                self.unfilled, images)
+                self.unfilled, images, few=True)
         if self.settings.contact_detail:
             with graph.section("Contact detail"):
                 graph.launch(probe_contact.add_contact, self.width * self.height,
