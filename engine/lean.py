@@ -60,6 +60,8 @@ class LeanPrograms:
     """Surface programs where glass may be a part of the closure"""
     films: bool = False
     """Whether any surface has a thin film"""
+    exact: bool = False
+    """Whether any material has an exact program (MaterialData.exact)"""
 
 
 def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:

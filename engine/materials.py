@@ -13,10 +13,12 @@ from ..kernels import node_codes as codes
 from ..kernels.types import (
     MATERIAL_CONSTANT_EMISSION,
     MATERIAL_EMISSION,
+    MATERIAL_EXACT,
     MATERIAL_FLAT_SHIFT,
     MATERIAL_LEAN,
     MATERIAL_LEAN_FLAT,
     MATERIAL_LEAN_TRANSPARENCY,
+    MATERIAL_LOOKS,
     MATERIAL_PLAIN,
     MATERIAL_SUBSURFACE,
     MATERIAL_TRANSPARENCY,
@@ -118,8 +120,8 @@ class MaterialTable:
         return self.indices.get(key, 0)
 
     def scattering(self, table: InstanceTable) -> np.ndarray:
-        """Return which instances have a material that scatters light below the surface: bool [N]."""
-        below = {key for key, (_, flags) in self._programs.items() if flags & MATERIAL_SUBSURFACE}
+        """Return which instances have a material that sends rays within the object, as below its surface: bool [N]."""
+        below = {key for key, (_, flags) in self._programs.items() if flags & (MATERIAL_SUBSURFACE | MATERIAL_LOOKS)}
         sets = np.array([not below.isdisjoint(keys) for keys in table.material_sets], bool)
         return sets[table.material_set_index] if below else np.zeros(len(table.material_set_index), bool)
 
@@ -152,6 +154,10 @@ class MaterialTable:
         self.uses_camera = world is not None and world.uses_camera
         self._programs = {}
         for row, (key, data) in enumerate(everything.items()):
+            if data.exact is not None:
+                exact = data.exact
+                table.note_exact(table.add_code(exact.surface, exact, table.add_tables(exact)))
+                self.uses_camera |= exact.uses_camera
             base = table.add_tables(data.program)
             records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)
             # Next to it: the distance is stored.
@@ -189,7 +195,8 @@ class MaterialTable:
         self.lean = LeanPrograms(
             *(all(each & bit for each in flags)
               for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)),
-            films=any(has_film(program) for program in programs))
+            films=any(has_film(program) for program in programs),
+            exact=any(each & MATERIAL_EXACT for each in flags))
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
@@ -246,10 +253,19 @@ def material_flags(data: MaterialData) -> int:
         flags |= MATERIAL_EMISSION
         flags |= MATERIAL_CONSTANT_EMISSION if data.constant_emission is not None else 0
     flags |= subsurface_flags(data.program)
-    flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
-    flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
+    if data.exact is not None:
+        flags |= MATERIAL_EXACT | (MATERIAL_LOOKS if looks_within(data.exact) else 0)
+    else:
+        flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
+        flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
     return flags | (MATERIAL_LEAN_TRANSPARENCY if is_lean_transparency(data.program) else 0)
+
+
+def looks_within(program: Program) -> bool:
+    """Return whether an exact program sends rays within the object."""
+    traced = [head >> 16 for head, *_ in program.surface if head & 255 == codes.OP_TRACE]
+    return any(sub & (codes.TRACE_BEVEL | codes.TRACE_LOCAL) for sub in traced)
 
 
 def single_program(
@@ -311,6 +327,10 @@ class _Table:
         self.code.extend(self.resolve(instruction, program, base) for instruction in instructions)
         self.code.append(END)
         return start
+
+    def note_exact(self, start: int) -> None:
+        """Write where the exact program is that was just added: into the end before the surface program that comes."""
+        self.code[-1] = (codes.OP_END, start, 0, 0)
 
     def add_flat(self, program: Program, base: int) -> int:
         """Append a flat program after the surface program just added; return how far, 0 where they are the same."""

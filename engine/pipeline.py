@@ -314,7 +314,7 @@ class Pipeline:
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
             graph, parity, kernels_scene, scene.structures, views, filtered=filtered, all_lean=lean.surface,
-            lean_layers=lean.transparency, shining=shining)
+            lean_layers=lean.transparency, shining=shining, exact=lean.exact)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         with graph.branch(REPROJECTION):
             self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from .closure_arguments import ARGUMENTS, closure_code, slot_count
 from .program_fold import fold
-from .program_layout import Instruction, RegisterOverflow, Sink, Value, flat_sinks, lay_out
+from .program_layout import Instruction, RegisterOverflow, Sink, Value, ancestors, flat_sinks, lay_out
 
 __all__ = ["Program", "ProgramBuilder", "RegisterOverflow", "Value", "tangent_attribute"]
 
@@ -248,6 +248,15 @@ class ProgramBuilder:
         """Return a weight by viewing angle (codes.FRESNEL_*); normal 0 is the shading normal."""
         return self._add(codes.OP_FRESNEL, operation_code("FRESNEL", name), (value, normal))
 
+    def occlusion(self, distance, normal, samples: int, *, inside: bool = False, local: bool = False) -> Value:
+        """Return how much is not occluded within a distance [m], by `samples` rays; for exact programs alone."""
+        sub = codes.TRACE_OCCLUSION | (codes.TRACE_INSIDE if inside else 0) | (codes.TRACE_LOCAL if local else 0)
+        return self._add(codes.OP_TRACE, sub, (distance, normal), (samples,))
+
+    def bevel(self, radius, normal, samples: int) -> Value:
+        """Return the normal of edges rounded by a radius [m], by `samples` rays; for exact programs alone."""
+        return self._add(codes.OP_TRACE, codes.TRACE_BEVEL, (radius, normal), (samples,))
+
     def space(self, name: str, value) -> Value:
         """Return a vector moved between object and world space (codes.SPACE_*)."""
         return self._add(codes.OP_SPACE, operation_code("SPACE", name), (value,))
@@ -371,19 +380,6 @@ def index_of(items: list, item) -> int:
     if item not in items:
         items.append(item)
     return items.index(item)
-
-
-def ancestors(values: list[Value], value: Value) -> list[int]:
-    """Return the indices of everything `value` depends on, itself included, operands first."""
-    needed = {value.index}
-    stack = [value.index]
-    while stack:
-        for arg in values[stack.pop()].args:
-            if arg not in needed:
-                needed.add(arg)
-                stack.append(arg)
-    # Operands are always older than what uses them.
-    return sorted(needed)
 
 
 def move_rows(instruction: Instruction, first_row: int) -> Instruction:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ..kernels import node_codes as codes
 
-__all__ = ["OPERANDS", "Instruction", "RegisterOverflow", "Sink", "Value", "flat_sinks", "lay_out"]
+__all__ = ["OPERANDS", "Instruction", "RegisterOverflow", "Sink", "Value", "ancestors", "flat_sinks", "lay_out"]
 
 Instruction = tuple[int, int, int, int]
 
@@ -15,7 +15,7 @@ OPERANDS = {
     codes.OP_ARGS: 3, codes.OP_MATH: 3, codes.OP_VECTOR: 3, codes.OP_MIX: 3, codes.OP_COLOR: 3, codes.OP_INPUT: 1,
     codes.OP_IMAGE: 1, codes.OP_TRANSFORM: 1, codes.OP_RAMP: 1, codes.OP_PROCEDURAL: 3, codes.OP_FRESNEL: 2,
     codes.OP_NORMAL_MAP: 2, codes.OP_BUMP: 3, codes.OP_SPACE: 1, codes.OP_EMIT: 3, codes.OP_TRANSPARENT: 2,
-    codes.OP_HOLDOUT: 1, codes.OP_CLOSURE: 0, codes.OP_END: 0,
+    codes.OP_HOLDOUT: 1, codes.OP_TRACE: 2, codes.OP_CLOSURE: 0, codes.OP_END: 0,
 }
 """How many of an instruction's words after the first are operands; immediates follow them"""
 
@@ -55,6 +55,19 @@ def flat_sinks(sinks: list[Sink], zero: Value) -> list[Sink]:
     return [
         replace(sink, operands=tuple(zero.index if slot in normals else x for slot, x in enumerate(sink.operands)))
         if sink.op == codes.OP_CLOSURE else sink for sink in sinks]
+
+
+def ancestors(values: list[Value], value: Value) -> list[int]:
+    """Return the indices of everything `value` depends on, itself included, operands first."""
+    needed = {value.index}
+    stack = [value.index]
+    while stack:
+        for arg in values[stack.pop()].args:
+            if arg not in needed:
+                needed.add(arg)
+                stack.append(arg)
+    # Operands are always older than what uses them.
+    return sorted(needed)
 
 
 def register_needs(values: list[Value]) -> list[int]:

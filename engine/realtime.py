@@ -163,7 +163,7 @@ class Realtime:
         self, scene: DeviceScene, camera: np.ndarray, options: Options, count: int, should_stop: Callable[[], bool],
     ) -> None:
         target = self.reference.samples_done + count
-        self.reference.media = scene.media and scene.media.struct
+        self.reference.take_scene(scene)
         self.reference.render(
             scene.scene, camera, options, self._filter, self._samples_film(), target, should_stop)
         self._blended = True

@@ -141,6 +141,8 @@ class MaterialData:
     name: str
     program: Program
     """The whole surface: registers of its closures"""
+    exact: Program | None = None
+    """What the path tracer and the camera's view run instead where they draw more than the others: with rays"""
     pass_index: int = 0
     has_transparency: bool = False
     """May let light through unrefracted (Transparent BSDF, alpha below 1)"""

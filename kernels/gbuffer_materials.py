@@ -16,7 +16,7 @@ from .intersect import MISS
 from .layering import prepare_bsdf
 from .nodes import run
 from .reflectance import bsdf_albedo
-from .types import Bsdf, Closure, Scene
+from .types import Bsdf, Closure, Scene, ShadingPoint
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -32,6 +32,31 @@ def shape_flag(bsdf: Bsdf) -> wp.uint32:
 
 
 @wp.func
+def store_sky(
+    view: View, scene: Scene, emission: wp.vec3, layers: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int,
+):
+    """Fill the entry of a pixel that shows the world; `emission`: what its program says, where it has one."""
+    radiance = emission
+    if scene.environment.constant == 1:
+        radiance = scene.environment.radiance
+    store_world(
+        view, scene, veiled_light(hits, layers, pixel, radiance), veil_flag(hits, layers, pixel), gbuffer, pixel)
+
+
+@wp.func
+def store_closure(
+    view: View, scene: Scene, point: ShadingPoint, closure: Closure, layers: int, hits: PrimaryHits, gbuffer: GBuffer,
+    pixel: int,
+):
+    """Fill the entry of a pixel that shows a surface."""
+    bsdf = prepare_bsdf(scene.tables, closure, point)
+    store_surface(
+        view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
+        wp.dot(bsdf.specular_normal, point.wo), veiled_light(hits, layers, pixel, bsdf.emission),
+        light_weight(hits, layers, pixel), veil_flag(hits, layers, pixel) | shape_flag(bsdf), gbuffer, pixel)
+
+
+@wp.func
 def shade_pixel(view: View, scene: Scene, width: int, layers: int, hits: PrimaryHits, gbuffer: GBuffer, pixel: int):
     """Fill one pixel's entry."""
     ray = primary_ray(view, pixel % width, pixel // width)
@@ -44,17 +69,9 @@ def shade_pixel(view: View, scene: Scene, width: int, layers: int, hits: Primary
         # One call of the machine for both, see reference.py.
         closure = run(scene, point, start, closure_number(view, width, pixel))
     if point.instance == MISS:
-        radiance = closure.emission
-        if scene.environment.constant == 1:
-            radiance = scene.environment.radiance
-        store_world(
-            view, scene, veiled_light(hits, layers, pixel, radiance), veil_flag(hits, layers, pixel), gbuffer, pixel)
+        store_sky(view, scene, closure.emission, layers, hits, gbuffer, pixel)
     else:
-        bsdf = prepare_bsdf(scene.tables, closure, point)
-        store_surface(
-            view, scene, point, bsdf_albedo(scene.tables, bsdf, point.wo), bsdf.normal,
-            wp.dot(bsdf.specular_normal, point.wo), veiled_light(hits, layers, pixel, bsdf.emission),
-            light_weight(hits, layers, pixel), veil_flag(hits, layers, pixel) | shape_flag(bsdf), gbuffer, pixel)
+        store_closure(view, scene, point, closure, layers, hits, gbuffer, pixel)
 
 
 @wp.kernel

@@ -49,6 +49,17 @@ OP_EMIT = wp.constant(15)
 OP_TRANSPARENT = wp.constant(16)
 OP_HOLDOUT = wp.constant(17)
 OP_CLOSURE = wp.constant(18)
+OP_TRACE = wp.constant(19)
+"""What rays from the point tell, of exact programs alone (node_rays.py)"""
+
+# OP_TRACE: a.x distance or radius [m], b normal, 0 for the shading normal; the immediate is the number of rays.
+TRACE_OCCLUSION = wp.constant(0)
+"""Share of rays about the normal that meet nothing within the distance"""
+TRACE_BEVEL = wp.constant(1)
+"""Mean normal of the object's surface about the point"""
+TRACE_INSIDE = wp.constant(2)
+TRACE_LOCAL = wp.constant(4)
+"""Flags of TRACE_OCCLUSION: about the normal's other side; only the object itself counts"""
 
 # OP_MATH: names follow Blender's ShaderNodeMath.operation.
 MATH_ADD = wp.constant(0)

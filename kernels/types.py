@@ -75,6 +75,10 @@ MATERIAL_SUBSURFACE = wp.constant(128)
 """Scatters light below the surface: the path tracer shades it by kernels of its own (reference_subsurface.py)"""
 MATERIAL_SUBSURFACE_BUMP = wp.constant(256)
 """The same with a normal map or bump, which shades light where it comes out too"""
+MATERIAL_EXACT = wp.constant(512)
+"""Has a program of its own for the camera's view and the path tracer: the end before its surface program says where"""
+MATERIAL_LOOKS = wp.constant(1024)
+"""That program sends rays within the object (node_rays.py)"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 

@@ -18,7 +18,14 @@ from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
 from ...engine.scene import MaterialData, MistData, Visibility, WorldData
 from ...engine.sky.image import TO_REC709
-from . import node_ies, node_inputs, node_maths, node_sky, node_textures  # noqa: F401  (they register their translators)
+from . import (  # noqa: F401  (they register their translators)
+    node_ies,
+    node_inputs,
+    node_maths,
+    node_rays,
+    node_sky,
+    node_textures,
+)
 from .node_graph import Graph, no_property
 from .node_shaders import add_shader
 from .volume import read_medium
@@ -113,6 +120,8 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
             functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
         data.bare = bool(data.medium) and graph.source(output, "Surface") is None
         data.program = graph.builder.finish()
+        if graph.wants_exact:
+            data.exact = extract_exact(material, inlined.node_tree, output, images, report, owner, layer)
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
         graph.builder = ProgramBuilder()
@@ -123,6 +132,23 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
     data.has_emission = graph.builder.has_emission()
     data.constant_emission = graph.builder.constant_emission() if data.has_emission else None
     return data
+
+
+def extract_exact(material: bpy.types.Material, tree, output, images, report: Report, owner: str,
+                  layer: Layer) -> Program | None:
+    """Compile a surface with all that its nodes can do; None where that is too large."""
+    said = Report()
+    graph = make_graph(tree, images, said, owner, layer=layer, exact=True)
+    try:
+        compile_surface(graph, material, output)
+        program = graph.builder.finish()
+    except (RegisterOverflow, RecursionError) as error:
+        report.add(ReportKind.APPROXIMATED, owner, f"has too many nodes to send rays as well ({error})")
+        return None
+    for entry, count in said.counts.items():
+        # What the other program has said is not said again.
+        report.counts.setdefault(entry, count)
+    return program
 
 
 def compile_surface(graph: Graph, material: bpy.types.Material, output) -> None:

@@ -49,7 +49,8 @@ class Graph:
     """One node tree being compiled."""
 
     def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False,
-                 lamp: bool = False, layer: Callable[[str], tuple[float, ...]] = no_property):
+                 lamp: bool = False, layer: Callable[[str], tuple[float, ...]] = no_property,
+                 exact: bool = False):
         """Index the links of `tree`.
 
         Args:
@@ -61,6 +62,7 @@ class Graph:
             world: Whether the tree is seen from directions instead of surface points.
             lamp: Whether it is a lamp's, which has no mesh.
             layer: Returns a property of the view layer.
+            exact: Whether it is for MaterialData.exact, where nodes may send rays.
         """
         self.builder = builder
         self.images = images
@@ -69,6 +71,9 @@ class Graph:
         self.world = world
         self.lamp = lamp
         self.layer = layer
+        self.exact = exact
+        self.wants_exact = False
+        """Whether an exact program would say more than this one"""
         self.tree = tree
         self.normal: Value = builder.constant(0.0)
         """Normal of shaders without one: 0 is the shading normal"""

@@ -219,13 +219,6 @@ def bump_node(graph: Graph, node, output: str) -> Value:
         normal)
 
 
-@translates("ShaderNodeBevel")
-def bevel_node(graph: Graph, node, output: str) -> Value:
-    """Bevel: its own normal input."""
-    graph.tell(node, "is not drawn: edges stay sharp")
-    return graph.linked_or(node, "Normal", lambda: graph.builder.input("NORMAL"))
-
-
 @translates("ShaderNodeFresnel")
 def fresnel_node(graph: Graph, node, output: str) -> Value:
     """Fresnel."""
@@ -247,13 +240,6 @@ def wireframe_node(graph: Graph, node, output: str) -> Value:
     if node.use_pixel_size or graph.world or graph.lamp:
         return graph.builder.constant(0.0)
     return graph.builder.wireframe(graph.value(node, "Size"))
-
-
-@translates("ShaderNodeAmbientOcclusion")
-def ambient_occlusion_node(graph: Graph, node, output: str) -> Value:
-    """Ambient Occlusion: nothing is occluded."""
-    graph.tell(node, "is not computed: nothing counts as occluded")
-    return graph.value(node, "Color") if output == "Color" else graph.builder.constant(1.0)
 
 
 @translates("ShaderNodeLightFalloff")

@@ -17,14 +17,7 @@ import numpy as np
 from ...engine.mesh_features import derived_names
 from ...engine.object_properties import property_names
 from ...engine.report import Report
-from ...engine.scene import (
-    InstanceTable,
-    LightData,
-    MaterialData,
-    MeshData,
-    SceneDelta,
-    WorldData,
-)
+from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .image import ImageCollector
@@ -389,7 +382,8 @@ def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
 
 def _attributes_of(data: MaterialData) -> list[str]:
     """Return what any program of a material reads."""
-    return [name for program in (data.program, *data.aovs.values()) for name in program.attributes]
+    programs = filter(None, (data.program, data.exact, *data.aovs.values()))
+    return [name for program in programs for name in program.attributes]
 
 
 def _working_space() -> str:

@@ -14,12 +14,13 @@ import ctypes
 import numpy as np
 import warp as wp
 
-from ...kernels import denoise_guides, denoise_guides_lean, film, materials, path_lists
+from ...kernels import denoise_guides, denoise_guides_lean, film, path_lists
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from .. import oidn
 from ..device import launch
 from ..history import copy_struct
+from .material_steps import evaluate_step
 from .reference import Band, FilmBuffers, ReferencePass, hit_steps
 from .rest import RestBlend
 from .wavefront import Step, Wavefront
@@ -197,6 +198,6 @@ def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     steps = [*hit_steps(slot, scene, options), Step(denoise_guides.show_misses, [options.exposure]),
              Step(denoise_guides_lean.find_lean_surfaces, limits)]
     if not options.all_lean:
-        steps += [Step(materials.evaluate_materials, [scene], over="more_hits"),
+        steps += [evaluate_step(slot, scene, "more_hits"),
                   Step(denoise_guides.find_surfaces, limits, over="more_hits")]
     return [*steps, Step(path_lists.list_living, [slot.paths.state], fills=("next",), changes=False)]

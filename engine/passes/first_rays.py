@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from ...kernels import materials, occlusion, path_lists, shadow_share
+from ...kernels import occlusion, path_lists, shadow_share
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ..device import launch
 from ..history import copy_struct
+from .material_steps import evaluate_step
 from .reference import Band, ReferencePass, hit_steps
 from .shadow_steps import shadow_steps
 from .wavefront import Step, Wavefront
@@ -88,7 +89,7 @@ class FirstRays:
     def _steps(self, slot: Wavefront, scene: Scene, options: Options, inputs: tuple[float, ...]) -> list[Step]:
         """Return what finds first hits, sends a ray from each and tells whether it arrives."""
         return [
-            *hit_steps(slot, scene, options), Step(materials.evaluate_materials, [scene]),
+            *hit_steps(slot, scene, options), evaluate_step(slot, scene),
             Step(self.aim, [scene, *inputs]), *shadow_steps(slot, scene, options),
             Step(path_lists.list_living, [slot.paths.state], fills=("next",), changes=False)]
 

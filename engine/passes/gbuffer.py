@@ -10,6 +10,7 @@ from ...kernels import (
     flat_tracing,
     gbuffer_behind,
     gbuffer_debug,
+    gbuffer_exact,
     gbuffer_layers,
     gbuffer_layers_lean,
     gbuffer_lean,
@@ -111,6 +112,7 @@ class GBufferPass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, structures: Structures, views: wp.array, *,
         filtered: bool = True, all_lean: bool = False, lean_layers: bool = False, shining: bool = False,
+        exact: bool = False,
     ) -> GBuffer:
         """Record the G-buffer of a frame.
 
@@ -123,6 +125,7 @@ class GBufferPass:
             filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
             all_lean: Whether the lean node machine runs all materials (MaterialTable.lean).
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
+            exact: Whether any material has an exact program (MaterialTable.lean).
             shining: Whether layers may hide what shines without a program (see shines_plainly).
         """
         width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
@@ -149,8 +152,9 @@ class GBufferPass:
             if not all_lean or scene.environment.constant == 0:
                 graph.fill_list(
                     compaction.append_left_pixels, in_blocks, [gbuffer.hit, width, height], self.left)
+                shade = gbuffer_exact.shade_exact_primary if exact else gbuffer_materials.shade_primary
                 graph.launch_listed(
-                    gbuffer_materials.shade_primary, [views, scene, width, layers, hits], self.left, [gbuffer],
+                    shade, [views, scene, width, layers, hits], self.left, [gbuffer],
                     few=True)
             if scene.lights.lamp_count > 0:
                 graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import warp as wp
 
-from ...kernels import composite, light_shares, light_split, materials
+from ...kernels import composite, light_shares, light_split
 from ...kernels.composite import LightPasses
 from ...kernels.light_split import LightSplit
 from ...kernels.paths import Paths
@@ -42,10 +42,10 @@ def make_split(count: int, device: str) -> LightSplit:
     return split
 
 
-def steps_before_shading(paths: Paths, split: LightSplit, scene: Scene, rounds: wp.array) -> list[Step]:
-    """Return what keeps how camera rays arrive, and runs the programs of the materials there."""
+def steps_before_shading(paths: Paths, split: LightSplit, rounds: wp.array, evaluate: Step) -> list[Step]:
+    """Return what keeps how camera rays arrive, and `evaluate`, which runs the programs of the materials there."""
     return [Step(light_split.keep_first_hits, [paths, rounds], fills=("first_hits",), changes=False, outputs=[split]),
-            Step(materials.evaluate_materials, [scene], over="first_hits")]
+            evaluate]
 
 
 def steps_after_shading(paths: Paths, split: LightSplit, scene: Scene, rounds: wp.array) -> list[Step]:

@@ -109,9 +109,9 @@ class PathLight:
             return []
         return self.film.scene_groups.steps_before_misses(self.paths, self.groups, scene, options)
 
-    def steps_before_shading(self, scene: Scene, rounds: wp.array) -> list[Step]:
-        """Return what comes when the world and the lamps that rays meet have been added."""
-        return [] if self.split is None else light_split.steps_before_shading(self.paths, self.split, scene, rounds)
+    def steps_before_shading(self, rounds: wp.array, evaluate: Step) -> list[Step]:
+        """Return what comes when the world and the lamps that rays meet have been added; see light_split.py."""
+        return [] if self.split is None else light_split.steps_before_shading(self.paths, self.split, rounds, evaluate)
 
     def steps_after_shading(self, scene: Scene, rounds: wp.array) -> list[Step]:
         """Return what comes when emission has been added and shadow rays are known."""

@@ -23,7 +23,6 @@ from ...kernels import (
     layers,
     layers_lean,
     light_split,
-    materials,
     misses,
     path_lists,
     reference,
@@ -38,6 +37,7 @@ from ...kernels.types import Scene
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
 from ..structures import is_flat
+from .material_steps import evaluate_step
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_catcher import ShadowCatchers
@@ -177,6 +177,8 @@ class ReferencePass:
         self.lock = threading.Lock()
         self.media: Media | None = None
         """Those of the scene that render() is given; None without any"""
+        self.exact = False
+        """Whether that scene has exact programs"""
 
     def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
         """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
@@ -207,9 +209,14 @@ class ReferencePass:
 
     def prepare(self, source: DeviceScene, pixels: int, options: Options) -> None:
         """Take in a scene's media and shadow catchers, for a picture of so many pixels; comes before render()."""
-        self.media = source.media and source.media.struct
+        self.take_scene(source)
         if self.catchers is not None:
             self.catchers.prepare(source, pixels, options)
+
+    def take_scene(self, source: DeviceScene) -> None:
+        """Take in what paths keep beside their states, or meet beside surfaces."""
+        self.media = source.media and source.media.struct
+        self.exact = source.material_table.lean.exact
 
     def note_scene(self) -> None:
         """Take in that the scene has changed."""
@@ -230,16 +237,15 @@ class ReferencePass:
     def take_slot(self) -> Wavefront:
         """Return states for a band's paths that no other thread uses until they are given back."""
         with self.lock:
-            if self.slots:
-                slot = self.slots.pop()
-                fit_media(slot, self.media)
-                return slot
-        slot = Wavefront(self.capacity, self.passes, self.device)
-        if self.light:
-            slot.light = self.light.make_paths(slot.paths, self.capacity)
-        if self.catchers is not None:
-            slot.catching = self.catchers.make_paths(self.capacity)
+            slot = self.slots.pop() if self.slots else None
+        if slot is None:
+            slot = Wavefront(self.capacity, self.passes, self.device)
+            if self.light:
+                slot.light = self.light.make_paths(slot.paths, self.capacity)
+            if self.catchers is not None:
+                slot.catching = self.catchers.make_paths(self.capacity)
         fit_media(slot, self.media)
+        slot.exact = self.exact
         return slot
 
     def give_slot(self, slot: Wavefront) -> None:
@@ -363,14 +369,14 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps = hit_steps(slot, scene, options)
     if light:
         steps[-1:-1] = [] if media else light.steps_before_misses(scene, options)
-        steps += light.steps_before_shading(scene, slot.rounds)
+        steps += light.steps_before_shading(slot.rounds, evaluate_step(slot, scene, "first_hits"))
     if slot.catching:
         steps.append(slot.catching.step(scene, slot))
     steps.append(Step(reference_lean.shade_lean_paths, shading, fills=("next",)))
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
     if not options.all_plain:
-        steps.append(Step(materials.evaluate_materials, [scene], over="full_hits"))
+        steps.append(evaluate_step(slot, scene, "full_hits"))
         if options.subsurface == 1:
             steps.append(below_step(shading))
         else:

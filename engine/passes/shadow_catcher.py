@@ -135,6 +135,7 @@ class ShadowCatchers:
         slot = kept.slot
         media = first.media and first.media.media
         fit_media(slot, media)
+        slot.exact = first.exact
         if not options.transparent:
             slot.trace("backdrop", (world, options), lambda: [
                 Step(shadow_catcher.miss_all, []), Step(misses.shade_misses, [world, options], fills=("more_hits",)),

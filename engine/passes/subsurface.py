@@ -6,9 +6,10 @@ Paths that go below a surface walk there and come out in the same round, and are
 
 from __future__ import annotations
 
-from ...kernels import materials, reference_subsurface, subsurface_walk
+from ...kernels import reference_subsurface, subsurface_walk
 from ...kernels.paths import Options
 from ...kernels.types import Scene
+from .material_steps import evaluate_step
 from .shadow_steps import shadow_steps
 from .wavefront import Step, Wavefront
 
@@ -24,7 +25,7 @@ def exit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return what walks below surfaces and lights paths where they come out; comes after the other shadow rays."""
     steps = [Step(subsurface_walk.walk_below, [scene, slot.rounds], over="below", fills=("exits",))]
     if options.subsurface_bump == 1:
-        steps.append(Step(materials.evaluate_materials, [scene], over="exits"))
+        steps.append(evaluate_step(slot, scene, "exits"))
     steps.append(Step(
         reference_subsurface.shade_exits, [scene, options.subsurface_bump, slot.rounds], over="exits", fills=("next",)))
     if slot.light:

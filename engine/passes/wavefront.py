@@ -84,6 +84,8 @@ class Wavefront:
         """What is kept of the paths for the passes of light (path_light.py)"""
         self.media: Any = None
         """What is kept of the media that they are in (media.py); None in scenes without any"""
+        self.exact = False
+        """Whether the scene has exact programs (MaterialData.exact)"""
         self.catching: Any = None
         """The same for shadow catchers (shadow_catcher.py)"""
         self.frame = wp.zeros(1, dtype=FrameData, device=device)

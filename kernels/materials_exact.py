@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The path tracer's kernel that runs exact programs where hit materials have them; the twin of materials.py."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .node_rays import Rays, is_blurred, program_start, run_exact
+from .paths import Paths, has_hit, hit_point
+from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, hash_combine, sample_pair
+from .types import Scene
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+
+@wp.kernel
+def evaluate_exact_materials(
+    # In:
+    scene: Scene,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Run the programs of the materials that listed paths have hit, exact ones where there are any."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        if has_hit(paths_out, path):
+            bounce = paths_out.state[path]
+            point = hit_point(scene, paths_out, path, bounce)
+            dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
+            lobe = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
+            rays = Rays()
+            rays.seed = hash_combine(paths_out.seed[path], wp.uint32(bounce))
+            rays.index = paths_out.index[path]
+            rays.blurred = is_blurred(paths_out.kind[path], paths_out.pdf[path])
+            start = program_start(scene, point.material)
+            paths_out.closure[path] = run_exact(scene, point, start, lobe[1], rays)
