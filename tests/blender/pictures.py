@@ -48,10 +48,12 @@ def look_down(scene: bpy.types.Scene, place: Place, width: float) -> None:
     scene.view_settings.view_transform = 'Raw'
 
 
-def picture(scene: bpy.types.Scene, engine: str, size: tuple[int, int], samples: int) -> tuple[np.ndarray, list[str]]:
-    """Return a path-traced picture, rows from above, [h, w, 3 or 4], and reports of it if it is Burnish's.
+def picture(
+    scene: bpy.types.Scene, engine: str, size: tuple[int, int], samples: int, integrator: str = 'REFERENCE',
+) -> tuple[np.ndarray, list[str]]:
+    """Return a picture, rows from above, [h, w, 3 or 4], and reports of it if it is Burnish's.
 
-    Pixels are boxes, for both alike.
+    Path-traced, unless `integrator` says otherwise. Pixels are boxes, for both alike.
     """
     render = scene.render
     render.engine, (render.resolution_x, render.resolution_y) = engine, size
@@ -59,7 +61,7 @@ def picture(scene: bpy.types.Scene, engine: str, size: tuple[int, int], samples:
     settings.samples, settings.use_adaptive_sampling, settings.use_denoising = samples, False, False
     settings.pixel_filter_type = 'BOX'
     sampling = scene.burnish.sampling
-    sampling.samples, sampling.integrator = samples, 'REFERENCE'
+    sampling.samples, sampling.integrator = samples, integrator
     scene.burnish.film.pixel_filter, scene.burnish.device = 'BOX', DEVICE
     render.image_settings.file_format, render.image_settings.color_depth = 'OPEN_EXR', '32'
     render.filepath = f"{FOLDER}/{engine}.exr"

@@ -63,7 +63,8 @@ sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", 'SUN'))
 sun.rotation_euler, sun.data.energy = (0.6, 0.4, 0.0), 0.4
 scene.collection.objects.link(sun)
 scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = 64
-finish([picture(scene, engine, (80, 50), 64)[0][..., :3].tolist() for engine in ('BURNISH', 'CYCLES')])
+finish([picture(scene, engine, (80, 50), samples, integrator)[0][..., :3].tolist()
+        for engine, samples, integrator in (('BURNISH', *SAMPLES), ('CYCLES', 64, 'REFERENCE'))])
 '''
 
 OCCLUSION = {
@@ -87,6 +88,11 @@ box("ordinary", plain, (2.0, 1.5, 0.4), 0.8).visible_glossy = False
 '''
 
 
+def script(arguments: str, samples: int, integrator: str) -> str:
+    """Return a script of boxes whose material is made with some arguments."""
+    return CODE.replace("MAKE", BOXES.replace("ARGUMENTS", arguments)).replace("SAMPLES", repr((samples, integrator)))
+
+
 def means(pictures: np.ndarray) -> np.ndarray:
     """Return the differences of the engines' means over blocks of 10 x 10 pixels: [5, 8, 3]."""
     blocks = pictures.reshape(2, 5, 10, 8, 10, 3).mean((2, 4))
@@ -96,8 +102,7 @@ def means(pictures: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", OCCLUSION)
 def test_occlusion_is_that_of_cycles(run_pictures: Callable[..., Any], name: str) -> None:
     """Show how much is occluded, everywhere as Cycles does."""
-    code = CODE.replace("MAKE", BOXES.replace("ARGUMENTS", OCCLUSION[name]))
-    pictures = np.array(run_pictures(code))
+    pictures = np.array(run_pictures(script(OCCLUSION[name], 64, "REFERENCE")))
     differences = means(pictures)
     assert np.abs(differences).max() < 0.02, np.abs(differences).max()
     assert np.abs(pictures[0].mean((0, 1)) - pictures[1].mean((0, 1))).max() < 0.003, pictures.mean((1, 2))
@@ -106,8 +111,17 @@ def test_occlusion_is_that_of_cycles(run_pictures: Callable[..., Any], name: str
 @pytest.mark.parametrize("arguments", ["bevel, glow, Radius=0.25, samples=8", "bevel, matte, Radius=0.2, samples=4"])
 def test_bevels_are_those_of_cycles(run_pictures: Callable[..., Any], arguments: str) -> None:
     """Round edges of boxes, turned, stretched, mirrored and smooth ones, as Cycles does."""
-    code = CODE.replace("MAKE", BOXES.replace("ARGUMENTS", arguments))
-    pictures = np.array(run_pictures(code))
+    pictures = np.array(run_pictures(script(arguments, 64, "REFERENCE")))
     differences = means(pictures)
     assert np.abs(differences).max() < 0.02, np.abs(differences).max()
     assert np.abs(pictures[0].mean((0, 1)) - pictures[1].mean((0, 1))).max() < 0.003, pictures.mean((1, 2))
+
+
+@pytest.mark.parametrize("arguments", [OCCLUSION["plain"], "bevel, glow, Radius=0.25, samples=8"])
+def test_frames_have_both(run_pictures: Callable[..., Any], arguments: str) -> None:
+    """Send rays from what the camera sees in real-time frames, too."""
+    pictures = np.array(run_pictures(script(arguments, 7, "REALTIME")))
+    assert np.abs(np.median(pictures[0] - pictures[1], (0, 1))).max() < 0.01
+    assert np.abs(means(pictures)).mean() < 0.015, np.abs(means(pictures)).mean()
+    # Plain boxes are lit by surfaces of which nothing is occluded there.
+    assert np.abs(pictures[0].mean((0, 1)) - pictures[1].mean((0, 1))).max() < 0.02, pictures.mean((1, 2))
