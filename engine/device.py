@@ -40,7 +40,8 @@ BLOCK_SIZES = dict.fromkeys(
      "direct_shapes", "probe_interpolate", "reproject", "probe_blend", "probe_gather", "probe_light",
      "reflection_probes", "reflection_choice", "reflection_choice_glossy", "reflection_lean", "reflection_materials",
      "reflection_refract", "reflection_start", "reflection_tail", "reflection_trace", "reference_subsurface",
-     "subsurface_walk", "media_march", "media_scatter", "media_shadows", "reflection_media", "direct_temporal",
+     "subsurface_walk", "media_march", "media_scatter", "media_shadows", "reflection_media",
+     "volume_march", "volume_scatter", "volume_shadows", "direct_temporal",
      "antialias", "reflection_upscale"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256

@@ -32,6 +32,7 @@ from .staging import RowWriter, overwrite
 from .structures import InstancePlan, Structures
 from .tables import albedo_tables, film_table
 from .textures import TextureStore
+from .volumes import SceneVolumes
 
 __all__ = ["DeviceScene", "SceneChanges"]
 
@@ -105,6 +106,7 @@ class DeviceScene:
         self.tables = albedo_tables(device)
         self.names: tuple[int, int] = (0, 0)
         self.changes = SceneChanges()
+        self.volumes = SceneVolumes(device)
         self.media: SceneMedia | None = None
         """None where nothing drawn has a medium, nor the world"""
 
@@ -118,7 +120,7 @@ class DeviceScene:
         self.times = {}
         with device_errors("the scene"):
             self._apply(delta, settings, tell)
-            self.media = scene_media(self)
+            self.media = scene_media(self, bool(delta.images) or delta.full)
 
     def _apply(self, delta: SceneDelta, settings: PerformanceSettings, tell: Progress) -> None:
         if self._follow(delta):

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from .scene import Key, MeshData
+from .volume_data import VolumeData
 
 __all__ = ["GeometryStore", "MeshRange"]
 
@@ -41,6 +42,8 @@ class MeshRange:
     used_slots: np.ndarray
     """Those that any triangle has, ascending"""
     generated: tuple[np.ndarray, np.ndarray]
+    volume: VolumeData | None
+    """Of volume objects"""
 
 
 class _Buffer:
@@ -171,7 +174,7 @@ class GeometryStore:
             triangle_count=len(mesh.triangles), uv_start=starts[2], uv_count=uv_count, attribute_start=starts[3],
             attribute_count=attribute_count, uv_names=tuple(mesh.uv_maps), attribute_names=tuple(mesh.attributes),
             low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots,
-            used_slots=np.unique(mesh.material_slots), generated=generated)
+            used_slots=np.unique(mesh.material_slots), generated=generated, volume=mesh.volume)
 
     def drop(self, key: Key) -> None:
         """Forget a mesh; its room is won back at the next full build."""

@@ -270,16 +270,18 @@ def looks_within(program: Program) -> bool:
 
 def single_program(
     program: Program, image_index: Callable[[Hashable], int], origin: tuple[float, float, float], device: str,
+    attribute_index: Callable[[str], int] = lambda name: -1,
 ) -> tuple[Materials, int]:
     """Return the arrays of one program alone, of no mesh, and where its emission starts.
 
     Args:
-        program: Of a lamp.
+        program: Of a lamp, or of a volume's coefficient.
         image_index: Returns the texture of an image key.
         origin: What the host subtracted from all world coordinates.
         device: Where to put them.
+        attribute_index: Returns the number of an attribute's name, or of a property's, -1 for what counts as 0.
     """
-    table = _Table(image_index, lambda name: -1, lambda name: -1)
+    table = _Table(image_index, lambda name: -1, attribute_index)
     table.constants[codes.CONSTANT_ORIGIN] = (*origin, 0.0)
     start = table.add_code(program.emission, program, table.add_tables(program))
     materials = Materials()

@@ -11,7 +11,10 @@ import warp as wp
 
 from ..kernels.media import Media, Medium, Phase
 from ..kernels.types import LIGHT_SUN
+from ..kernels.volume_grids import Volumes
 from .history import copy_struct
+from .program import Program
+from .volume_program import VaryingData
 
 if TYPE_CHECKING:
     from .device_scene import DeviceScene
@@ -41,16 +44,26 @@ class PhaseData:
 
 @dataclass(frozen=True)
 class MediumData:
-    """A homogeneous medium, in world space."""
+    """A medium, in world space; what follows is all of it where it is homogeneous, else an estimate of its mean."""
 
     extinction: Color = (0.0, 0.0, 0.0)
     """What absorption and scattering take away [1/m]"""
     emission: Color = (0.0, 0.0, 0.0)
     """Radiance per metre"""
     phases: tuple[PhaseData, ...] = ()
+    varying: VaryingData | None = None
+    """Its coefficients where they vary in space"""
+    in_grids: VaryingData | None = None
+    """The same in volume objects, whose grids they read"""
 
     def __bool__(self) -> bool:
-        return any((*self.extinction, *self.emission))
+        return any((*self.extinction, *self.emission)) or self.varying is not None
+
+    @property
+    def programs(self) -> list[Program]:
+        """Return all programs of its coefficients."""
+        return [part.program for each in (self.varying, self.in_grids) if each is not None
+                for part in each.fields if part.program is not None]
 
 
 @dataclass(frozen=True)
@@ -63,9 +76,11 @@ class SceneMedia:
     open: bool
     """Whether some is seen by itself: the world's, or within boundaries without a surface. Frames don't draw these"""
     made_for: tuple
+    volumes: Volumes | None = None
+    """What varies in space; None: nothing does"""
 
 
-def scene_media(source: DeviceScene) -> SceneMedia | None:
+def scene_media(source: DeviceScene, images_changed: bool = False) -> SceneMedia | None:
     """Return the media of a scene's world and of what is drawn in it, the same as before if they are; None without."""
     table, world = source.table, source.world.medium if source.world is not None else None
     keys = {key for keys in table.material_sets for key in keys}
@@ -95,7 +110,9 @@ def scene_media(source: DeviceScene) -> SceneMedia | None:
     if len(low) and frames is None:
         frames = copy_struct(media)
         frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
-    return SceneMedia(media, frames if len(low) else None, seen, made_for)
+    rows = {place: (row, medium) for row, (place, medium) in enumerate(places.items())}
+    volumes = source.volumes.update(source, rows, world or None, images_changed)
+    return SceneMedia(media, frames if len(low) else None, seen, made_for, volumes)
 
 
 def light_reach(source: DeviceScene, media: list[MediumData | None]) -> tuple[tuple[float, ...], float]:

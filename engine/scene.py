@@ -21,6 +21,7 @@ import numpy as np
 from .media import MediumData
 from .program import Program
 from .sky.image import TO_REC709
+from .volume_data import VolumeData
 
 __all__ = [
     "AlphaMode", "CameraData", "CameraKind", "ColorEncoding", "FrameMotion", "ImageData", "InstanceTable", "LightData",
@@ -49,6 +50,8 @@ class MeshData:
     """float32 [T, 3, 4] per generic or colour attribute, by name"""
     generated: tuple[np.ndarray, np.ndarray] | None = None
     """(location float32[3], size float32[3]) of the texture space, for Generated coordinates"""
+    volume: VolumeData | None = None
+    """Of a volume object, whose box this is"""
 
 
 class Visibility(enum.IntFlag):

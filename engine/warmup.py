@@ -129,6 +129,10 @@ from ..kernels import (
     tracing,
     tree_reinsertion,
     triangle_split,
+    volume_bake,
+    volume_march,
+    volume_scatter,
+    volume_shadows,
     wide_bvh_build,
     wide_bvh_edit,
 )
@@ -157,7 +161,7 @@ KERNEL_MODULES = (
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
     subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
     reference_subsurface, first_hits, media_march, media_scatter, media_shadows,
-    reflection_media,
+    reflection_media, volume_bake, volume_march, volume_scatter, volume_shadows,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
 

@@ -117,7 +117,7 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         output = output_node(inlined.node_tree)
         compile_surface(graph, material, output)
         data.medium = read_medium(
-            functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
+            functools.partial(make_graph, layer=layer), inlined.node_tree, output, images, report, owner)
         data.bare = bool(data.medium) and graph.source(output, "Surface") is None
         data.program = graph.builder.finish()
         if graph.wants_exact:
@@ -219,7 +219,7 @@ def extract_world(world: bpy.types.World | None, images, report: Report, aovs: t
         graph.builder.emit(tuple(world.color), 1.0, 1.0)
         data.program = graph.builder.finish()
     data.medium = read_medium(
-        functools.partial(make_graph, layer=layer), inlined.node_tree, output, report, owner)
+        functools.partial(make_graph, layer=layer), inlined.node_tree, output, images, report, owner, world=True)
     data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, world=True, layer=layer)
     data.constant = graph.builder.constant_emission()
     if graph.widths:

@@ -8,6 +8,7 @@ from ...engine.object_properties import particle_name, property_name
 from ...engine.program import Value, tangent_attribute
 from ...engine.report import ReportKind
 from ...engine.scene import Visibility
+from ...engine.volume_program import VolumeBuilder
 from .node_graph import Graph, translates
 
 __all__: list[str] = []
@@ -164,6 +165,9 @@ def particle_info_node(graph: Graph, node, output: str) -> Value:
 @translates("ShaderNodeHairInfo", "ShaderNodePointInfo", "ShaderNodeVolumeInfo")
 def particle_node(graph: Graph, node, output: str) -> Value:
     """Facts about hair, points and volumes: 0 on meshes."""
+    if isinstance(graph.builder, VolumeBuilder) and node.bl_idname == "ShaderNodeVolumeInfo":
+        value = graph.builder.attribute(output.lower())
+        return graph.builder.rgb(value) if output == "Color" else graph.builder.vector("AVERAGE", value)
     if output != "Is Strand":
         graph.tell(node, f"gives {output}, which meshes don't have; 0 stands in for it")
     return graph.builder.constant(0.0)

@@ -382,7 +382,8 @@ def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
 
 def _attributes_of(data: MaterialData) -> list[str]:
     """Return what any program of a material reads."""
-    programs = filter(None, (data.program, data.exact, *data.aovs.values()))
+    media = data.medium.programs if data.medium is not None else ()
+    programs = filter(None, (data.program, data.exact, *data.aovs.values(), *media))
     return [name for program in programs for name in program.attributes]
 
 

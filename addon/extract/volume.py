@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is linked to the Volume socket of a material's or a world's output, as a homogeneous medium.
+"""What is linked to the Volume socket of a material's or a world's output, as a medium.
 
 Coefficients are those of Cycles (kernel/svm/closure.h, svm_node_closure_volume and svm_node_principled_volume). A tree
-that varies in space is drawn by an estimate of its mean, and named in the report.
+that varies in space has programs of them (volume_fields.py), and an estimate of its mean, by which it is drawn where it
+can't be followed; that is named in the report.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ...engine.mean_program import LEVELS, MeanBuilder
 from ...engine.media import MediumData, PhaseData
-from ...engine.program import Value
+from ...engine.program import RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
+from ...engine.volume_program import VaryingData, VolumeBuilder
 from .node_graph import UNEXPECTED, Graph
+from .volume_fields import Unfollowed, read_fields
 
 __all__ = ["read_medium"]
 
@@ -57,15 +61,19 @@ class Sum:
         self.phases += [(coefficient * share, anisotropy) for share, anisotropy in phases]
 
 
-def read_medium(make_graph: Callable[..., Graph], tree, output, report: Report, owner: str) -> MediumData | None:
+def read_medium(
+    make_graph: Callable[..., Graph], tree, output, images, report: Report, owner: str, *, world: bool = False,
+) -> MediumData | None:
     """Return the medium that an output's Volume socket leads to, None for none.
 
     Args:
         make_graph: material.make_graph.
         tree: Inlined node tree.
         output: Its output, or None.
+        images: Image collector.
         report: Receives what is approximated or left out.
         owner: Name of the data-block for messages.
+        world: Whether it fills the world: no volume object can have it.
     """
     if output is None:
         return None
@@ -80,16 +88,43 @@ def read_medium(make_graph: Callable[..., Graph], tree, output, report: Report, 
         try:
             sums.append(add_up(graph, source, said))
         except Unknown:
-            report.add(ReportKind.SKIPPED, owner, "has a volume that varies in a way that is not followed; "
-                                                  "it is not drawn")
-            return None
+            sums, varied = [], True
+            break
         varied = builder.varied
         if not varied:
             break
     report.merge(said)
-    if varied:
-        report.add(ReportKind.APPROXIMATED, owner, "has a volume that varies in space, which is drawn by its mean")
-    return mean_of(sums)
+    medium = mean_of(sums) if sums else MediumData()
+    varying = fields_of(make_graph, tree, output, images, report, owner, optional=False) if varied else None
+    in_grids = None if world else fields_of(make_graph, tree, output, images, Report(), owner, optional=True)
+    return replace(medium, varying=varying, in_grids=in_grids)
+
+
+def fields_of(
+    make_graph: Callable[..., Graph], tree, output, images, report: Report, owner: str, *, optional: bool,
+) -> VaryingData | None:
+    """Return the programs of a medium's coefficients, None where there are none; says why not.
+
+    `optional`: for volume objects, whose grids are read.
+    """
+    graph = make_graph(tree, images, Report(), owner, builder=VolumeBuilder(optional))
+    why = ""
+    try:
+        found = read_fields(graph, graph.source(output, "Volume"), STEFAN_BOLTZMANN, phases_of)
+    except Unfollowed:
+        why = "varies in space in its phase function"
+    except (RegisterOverflow, RecursionError):
+        why = "varies in space by too many nodes"
+    else:
+        if found.of_camera:
+            why = "depends on the camera"
+    if why:
+        report.add(ReportKind.APPROXIMATED, owner, f"has a volume that {why}; an estimate of its mean is drawn")
+        return None
+    if found.of_rays:
+        report.add(ReportKind.APPROXIMATED, owner,
+                   "has a volume that depends on rays; it is drawn as for rays of no kind")
+    return found if found.varies else None
 
 
 def mean_of(sums: list[Sum]) -> MediumData:

@@ -11,11 +11,22 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernels import light_split, media_march, media_scatter, media_shadows, shadow_lights, tracing
+from ...kernels import (
+    light_split,
+    media_march,
+    media_scatter,
+    media_shadows,
+    shadow_lights,
+    tracing,
+    volume_march,
+    volume_scatter,
+    volume_shadows,
+)
 from ...kernels.light_groups import GroupLight, GroupTables
 from ...kernels.media import Media, MediaPaths
 from ...kernels.paths import Options
 from ...kernels.types import Scene
+from ...kernels.volume_grids import Volumes
 from ..device import launch
 from ..history import copy_struct
 from .path_light import PathLight
@@ -32,8 +43,15 @@ class PathMedia:
     """What a batch of paths keeps of the media that they are in."""
 
     media: Media
+    volumes: Volumes | None
+    """What varies in space: then other kernels stand in"""
     kept: MediaPaths
     device: str
+
+    @property
+    def described(self) -> list:
+        """Return what kernels are told of the media."""
+        return [self.media] if self.volumes is None else [self.media, self.volumes]
 
     def start(self, slot: Wavefront, scene: Scene, count: int) -> None:
         """Find the media that the first `count` paths begin in."""
@@ -44,8 +62,8 @@ class PathMedia:
         grouped = light is not None and light.groups is not None
         tables, groups = (light.film.scene_groups.tables, light.groups) if grouped else (GroupTables(), GroupLight())
         return [Step(tracing.trace_paths, [scene]),
-                Step(media_march.march_media, [scene, options, self.media, tables], fills=("scattered",),
-                     outputs=[self.kept, groups])]
+                Step(media_march.march_media if self.volumes is None else volume_march.march_volumes,
+                     [scene, options, *self.described, tables], fills=("scattered",), outputs=[self.kept, groups])]
 
     def miss_step(self, scene: Scene, options: Options) -> Step:
         """Return what adds the world and plays roulette, and lists what needs the full machine."""
@@ -53,8 +71,8 @@ class PathMedia:
 
     def scatter_step(self, shading: list, rounds: wp.array) -> Step:
         """Return what lights scattered paths; comes after surfaces, which forget shadow rays of before."""
-        return Step(media_scatter.scatter_paths, [*shading, self.media, self.kept, rounds], over="scattered",
-                    fills=("next",))
+        kernel = media_scatter.scatter_paths if self.volumes is None else volume_scatter.scatter_in_volumes
+        return Step(kernel, [*shading, *self.described, self.kept, rounds], over="scattered", fills=("next",))
 
     def finish_light(self, light: PathLight, exposure: float, first: int, count: int, samples: int) -> None:
         """Add what media have of the light of finished paths to the passes of volumes, and keep it out of surfaces'.
@@ -71,9 +89,9 @@ class PathMedia:
         # None is done with when nothing opaque is in its way.
         waiting = copy_struct(options)
         waiting.filtered = 1
+        weaken = media_shadows.weaken_in_media if self.volumes is None else volume_shadows.weaken_in_volumes
         steps = [Step(tracing.trace_shadows, [scene, waiting, slot.rounds], over),
-                 Step(media_shadows.weaken_in_media, [scene, options, self.media, slot.rounds], over,
-                      outputs=[self.kept])]
+                 Step(weaken, [scene, options, *self.described, slot.rounds], over, outputs=[self.kept])]
         if options.programs == 1:
             steps.append(Step(shadow_lights.shade_lights, [scene, options, slot.rounds], over))
         return steps
@@ -87,11 +105,11 @@ def make_media_paths(count: int, device: str) -> MediaPaths:
     return kept
 
 
-def fit_media(slot: Wavefront, media: Media | None) -> None:
+def fit_media(slot: Wavefront, media: Media | None, volumes: Volumes | None) -> None:
     """Make room beside the states of paths for a scene's media, or note that it has none."""
     if media is None:
         slot.media = None
     elif slot.media is None:
-        slot.media = PathMedia(media, make_media_paths(slot.capacity, slot.device), slot.device)
+        slot.media = PathMedia(media, volumes, make_media_paths(slot.capacity, slot.device), slot.device)
     else:
-        slot.media.media = media
+        slot.media.media, slot.media.volumes = media, volumes

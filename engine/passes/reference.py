@@ -34,6 +34,7 @@ from ...kernels import (
 from ...kernels.media import Media
 from ...kernels.paths import Options
 from ...kernels.types import Scene
+from ...kernels.volume_grids import Volumes
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
 from ..structures import is_flat
@@ -179,6 +180,8 @@ class ReferencePass:
         """Those of the scene that render() is given; None without any"""
         self.exact = False
         """Whether that scene has exact programs"""
+        self.volumes: Volumes | None = None
+        """What of them varies in space"""
 
     def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
         """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
@@ -215,7 +218,8 @@ class ReferencePass:
 
     def take_scene(self, source: DeviceScene) -> None:
         """Take in what paths keep beside their states, or meet beside surfaces."""
-        self.media = source.media and source.media.struct
+        media = source.media
+        self.media, self.volumes = (media.struct, media.volumes) if media is not None else (None, None)
         self.exact = source.material_table.lean.exact
 
     def note_scene(self) -> None:
@@ -244,7 +248,7 @@ class ReferencePass:
                 slot.light = self.light.make_paths(slot.paths, self.capacity)
             if self.catchers is not None:
                 slot.catching = self.catchers.make_paths(self.capacity)
-        fit_media(slot, self.media)
+        fit_media(slot, self.media, self.volumes)
         slot.exact = self.exact
         return slot
 

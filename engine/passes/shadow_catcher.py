@@ -134,7 +134,7 @@ class ShadowCatchers:
         scene, world, options = self._scenes
         slot = kept.slot
         media = first.media and first.media.media
-        fit_media(slot, media)
+        fit_media(slot, media, first.media and first.media.volumes)
         slot.exact = first.exact
         if not options.transparent:
             slot.trace("backdrop", (world, options), lambda: [

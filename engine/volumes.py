@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Grids of all media of a scene that vary in space, made where they change, as the path tracer's kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from ..kernels.volume_grids import Field, VolumeGrid, Volumes
+from .volume_bake import BakedGrid, Box, Oven, bake_boxes, concatenated, field_rows
+from .volume_data import VolumeData
+from .volume_program import VaryingData
+
+if TYPE_CHECKING:
+    from .device_scene import DeviceScene
+    from .media import MediumData
+
+__all__ = ["SceneVolumes"]
+
+CELLS_MAX = {False: 128, True: 256}
+"""Along the longest side of an object's grid, on a processor and on CUDA"""
+
+VALUES_MAX = {False: 1 << 25, True: 1 << 27}
+"""Of all objects' grids together, which get coarser for it [floats]"""
+
+WORLD_CELLS = 64
+"""Along each side of the world's boxes; a multiple of four blocks, so that those within end between blocks"""
+
+WORLD_FIRST, WORLD_LAST = -3, 12
+"""Half sizes of the world's boxes are the scene's radius times 2 to these powers, and those between"""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """An object with a medium that varies."""
+
+    instance: int
+    medium: int
+    """Row of the scene's media"""
+    material: int
+    varying: VaryingData
+    density: float
+    """Factor on what is tabled"""
+
+
+class SceneVolumes:
+    """The grids of one scene; those that nothing has changed are kept."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self.cuda = wp.get_device(device).is_cuda
+        self._baked: dict[Hashable, list[BakedGrid]] = {}
+        self._joined: tuple[list[BakedGrid], wp.array, wp.array] | None = None
+
+    def update(
+        self, source: DeviceScene, places: Mapping[int, tuple[int, MediumData]], world: MediumData | None,
+        images_changed: bool,
+    ) -> Volumes | None:
+        """Return what varies, None where nothing does.
+
+        Args:
+            source: The scene.
+            places: Row of the scene's media, and medium, by material.
+            world: The world's.
+            images_changed: Forget what has been made of images.
+        """
+        bodies = self._bodies(source, places)
+        outside = world.varying if world is not None else None
+        if not bodies and outside is None:
+            self._baked.clear()
+            self._joined = None
+            return None
+        if images_changed:
+            self._baked = {key: grids for key, grids in self._baked.items() if not any(
+                part.program is not None and part.program.images for part in key[0].fields)}
+        before, self._baked = self._baked, {}
+        chosen = []
+        cells = self._cells(bodies)
+        for body in bodies:
+            key = self._key(source, body, cells)
+            if key not in self._baked:
+                self._baked[key] = before.get(key) or [self._bake(source, body, cells)]
+            chosen.append(self._baked[key])
+        world_grids: list[BakedGrid] = []
+        if outside is not None:
+            key = (outside, "world", source.radius, tuple(source.origin), self._middle(source))
+            world_grids = self._baked[key] = before.get(key) or self._bake_world(source, outside)
+        return self._struct(source, bodies, chosen, outside, world_grids, places)
+
+    def _bodies(self, source: DeviceScene, places: Mapping[int, tuple[int, MediumData]]) -> list[_Body]:
+        """Return all drawn objects with media that vary."""
+        table, found = source.table, []
+        varying = {material: medium for material, (_, medium) in places.items()
+                   if medium.varying is not None or medium.in_grids is not None}
+        if not varying:
+            return found
+        by_set = [[source.material_table.index(key) for key in keys] for keys in table.material_sets]
+        with_any = np.array([any(material in varying for material in materials) for materials in by_set], bool)
+        for instance in np.flatnonzero(source.drawn & with_any[table.material_set_index]).tolist():
+            volume = self._volume(source, instance)
+            for material in dict.fromkeys(by_set[table.material_set_index[instance]]):
+                if material not in varying:
+                    continue
+                row, medium = places[material]
+                data = medium.varying if volume is None else medium.in_grids
+                if data is not None:
+                    density = 1.0 if volume is None else volume.density(table.transforms[instance])
+                    found.append(_Body(instance, row, material, data, density))
+        return found
+
+    def _volume(self, source: DeviceScene, instance: int) -> VolumeData | None:
+        """Return the grids of an instance that is a volume object, else None."""
+        return source.store.ranges[source.table.mesh_keys[source.table.mesh_index[instance]]].volume
+
+    def _cells(self, bodies: list[_Body]) -> int:
+        """Return how many cells there are along objects' longest sides."""
+        cells = CELLS_MAX[self.cuda]
+        channels = sum(len(body.varying.fields) for body in bodies)
+        while cells > 8 and channels * cells**3 > VALUES_MAX[self.cuda]:
+            cells //= 2
+        return cells
+
+    def _key(self, source: DeviceScene, body: _Body, cells: int) -> Hashable:
+        """Return what an object's grid depends on."""
+        table, instance = source.table, body.instance
+        mesh = source.store.ranges[table.mesh_keys[table.mesh_index[instance]]]
+        generated = tuple(np.concatenate(mesh.generated).tolist())
+        place: tuple = ()
+        if body.varying.placed:
+            properties = None if table.properties is None else table.properties[:, instance].tobytes()
+            place = (table.transforms[instance].tobytes(), tuple(source.origin), int(table.pass_index[instance]),
+                     int(table.random_id[instance]), table.color[instance].tobytes(), properties, body.material)
+        return (body.varying, id(mesh.volume) if mesh.volume is not None else None, mesh.low.tobytes(),
+                mesh.high.tobytes(), generated, self._sides(source, instance).tobytes(), cells, place)
+
+    def _sides(self, source: DeviceScene, instance: int) -> np.ndarray:
+        """Return how long an object's axes are where it stands, the longest 1: float64 [3], to powers of two."""
+        lengths = np.linalg.norm(source.table.transforms[instance][:3, :3], axis=0)
+        return np.exp2(np.round(np.log2(np.maximum(lengths / max(float(lengths.max()), 1e-30), 1e-3))))
+
+    def _bake(self, source: DeviceScene, body: _Body, cells: int) -> BakedGrid:
+        """Return the grid of an object."""
+        table, instance = source.table, body.instance
+        mesh = source.store.ranges[table.mesh_keys[table.mesh_index[instance]]]
+        matrix = table.transforms[instance].copy()
+        matrix[:3, 3] -= source.origin
+        properties = {} if table.properties is None else dict(
+            zip(table.property_names, table.properties[:, instance], strict=True))
+        keys = table.material_sets[table.material_set_index[instance]]
+        own = next(source.materials[key] for key in keys if source.material_table.index(key) == body.material)
+        oven = Oven(
+            body.varying, source.scene, source.textures.index, tuple(source.origin), self.device, source.rows[instance],
+            matrix, properties, {} if mesh.volume is None else mesh.volume.grids, own.pass_index)
+        if mesh.volume is not None:
+            oven.to_point = matrix @ mesh.volume.to_object
+            return oven.bake(Box(*mesh.volume.box))
+        return bake_boxes(oven, mesh.low, mesh.high, self._sides(source, instance), cells)
+
+    def _middle(self, source: DeviceScene) -> tuple[float, ...]:
+        """Return the middle of what is drawn."""
+        if not source.drawn.any():
+            return (0.0, 0.0, 0.0)
+        low, high = source.low[source.drawn].min(0), source.high[source.drawn].max(0)
+        return tuple((0.5 * (low + high)).tolist())
+
+    def _bake_world(self, source: DeviceScene, varying: VaryingData) -> list[BakedGrid]:
+        """Return the world's grids, from the innermost on."""
+        # Its programs' points have no instance: they are where they say.
+        to_point = np.eye(4)
+        to_point[:3, 3] = source.origin
+        oven = Oven(varying, source.scene, source.textures.index, tuple(source.origin), self.device,
+                    to_point=to_point)
+        middle, grids = np.array(self._middle(source)), []
+        for power in range(WORLD_FIRST, WORLD_LAST + 1):
+            half = source.radius * 2.0**power
+            box = Box(tuple((middle - half).tolist()), (2.0 * half,) * 3, (WORLD_CELLS,) * 3)
+            grids.append(oven.bake(box))
+        return grids
+
+    def _struct(
+        self, source: DeviceScene, bodies: list[_Body], chosen: list[list[BakedGrid]], outside: VaryingData | None,
+        world_grids: list[BakedGrid], places: Mapping[int, tuple[int, MediumData]],
+    ) -> Volumes:
+        """Return everything on the device."""
+        distinct = list({id(grid): grid for grids in [*chosen, world_grids] for grid in grids}.values())
+        if self._joined is None or [id(grid) for grid in self._joined[0]] != [id(grid) for grid in distinct]:
+            self._joined = (distinct, concatenated([grid.values for grid in distinct], float, self.device),
+                            concatenated([grid.bounds for grid in distinct], wp.vec2, self.device))
+        value_starts, block_starts, values, blocks = {}, {}, 0, 0
+        for grid in distinct:
+            value_starts[id(grid)], block_starts[id(grid)] = values, blocks
+            values, blocks = values + len(grid.values), blocks + len(grid.bounds)
+        fields: list[tuple] = []
+        starts: dict[VaryingData, int] = {}
+        rows = np.zeros(max(len(bodies) + len(world_grids), 1), VolumeGrid.numpy_dtype())
+        count = len(source.table.mesh_index)
+        media = 1 + max((row for row, _ in places.values()), default=-1) + (1 if outside is not None else 0)
+        in_media = np.full(media, -1, np.int32)
+        for medium in dict.fromkeys(body.medium for body in bodies):
+            in_media[medium] = int((in_media >= 0).sum()) * count
+        grid_of = np.full(max(int((in_media >= 0).sum()) * count, 1), -1, np.int32)
+        entries = [(body.varying, grids[0], self._to_scene(source, body.instance), body.density)
+                   for body, grids in zip(bodies, chosen, strict=True)]
+        entries += [(outside, grid, np.eye(4), 1.0) for grid in world_grids]
+        for number, (varying, grid, to_box, density) in enumerate(entries):
+            if varying not in starts:
+                starts[varying] = len(fields)
+                fields.extend(field_rows(varying))
+            row = rows[number]
+            row["to_cells"] = grid.box.to_cells() @ to_box
+            row["x"], row["y"], row["z"] = grid.box.cells
+            row["blocks_x"], row["blocks_y"], row["blocks_z"] = grid.box.blocks
+            row["values"], row["blocks"] = value_starts[id(grid)], block_starts[id(grid)]
+            row["fields"], row["phases"], row["density"] = starts[varying], len(varying.phases), density
+            if number < len(bodies):
+                grid_of[in_media[bodies[number].medium] + bodies[number].instance] = number
+        out = Volumes()
+        out.places = wp.array(in_media, dtype=int, device=self.device)
+        out.grid_of = wp.array(grid_of, dtype=int, device=self.device)
+        out.grids = wp.array(rows, dtype=VolumeGrid, device=self.device)
+        held = np.zeros(max(len(fields), 1), Field.numpy_dtype())
+        for row, (color, channel, wide) in zip(held, fields, strict=False):
+            row["color"], row["channel"], row["wide"] = color, channel, wide
+        out.fields = wp.array(held, dtype=Field, device=self.device)
+        out.values, out.bounds = self._joined[1], self._joined[2]
+        out.world, out.world_count = (len(bodies), len(world_grids)) if world_grids else (-1, 0)
+        return out
+
+    def _to_scene(self, source: DeviceScene, instance: int) -> np.ndarray:
+        """Return the matrix from scene coordinates to what an object's box is in: float64 [4, 4]."""
+        matrix = source.table.transforms[instance].copy()
+        matrix[:3, 3] -= source.origin
+        volume = self._volume(source, instance)
+        return np.linalg.inv(matrix if volume is None else matrix @ volume.to_object)

@@ -1,0 +1,402 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Media that vary in space: grids of their coefficients, and bounds of these for walks. No kernels.
+
+What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py), the world's over
+nested boxes, each twice as large as the one within. Coefficients are trilinear between the middles of cells. A grid's
+cells lie in blocks, of which the largest extinction is known: walks take each block with its own (Szirmay-Kalos et al.
+2011, "Free Path Sampling in High Resolution Inhomogeneous Participating Media").
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import max_component, mean_component, transform_direction, transform_point
+from .lamp_hit import FAR
+from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, PhaseChoice, add_medium, add_phases, choose_among
+from .subsurface import phase
+
+BLOCK = wp.constant(8)
+"""Sides of a block in cells"""
+FIELD_EXTINCTION = wp.constant(0)
+FIELD_EMISSION = wp.constant(1)
+FIELD_PHASES = wp.constant(2)
+"""Places in a grid's fields; from the last one on a scattering and an anisotropy for each phase function"""
+GLOW_POINTS = wp.constant(2.0)
+"""Points at least in the mean that a walk takes in a block that shines"""
+NUDGE = wp.constant(1.0e-4)
+"""Of a block's way, how far beyond a boundary the next block is looked for"""
+
+
+@wp.struct
+class Field:
+    """A coefficient: a constant colour, or one times what is tabled."""
+
+    color: wp.vec3
+    channel: int
+    """The first of a grid's channels, -1: constant"""
+    wide: int
+    """1: three channels, 0: one for all"""
+
+
+@wp.struct
+class VolumeGrid:
+    """What fills the box of one object, or one of the world's boxes."""
+
+    to_cells: wp.mat44
+    """From scene coordinates to cells"""
+    x: int
+    y: int
+    z: int
+    """Number of cells"""
+    values: int
+    """Place of its first cell; channels lie one after the other"""
+    blocks: int
+    """Place of its first block"""
+    blocks_x: int
+    blocks_y: int
+    blocks_z: int
+    fields: int
+    """Place of its first field"""
+    phases: int
+    """Number of its phase functions"""
+    density: float
+    """Factor on extinction and scattering"""
+
+
+@wp.struct
+class Volumes:
+    """All that varies in a scene's media."""
+
+    places: wp.array[int]
+    """By medium, where its objects' grids begin in `grid_of`; -1: nowhere does it vary"""
+    grid_of: wp.array[int]
+    """By instance; -1: there the medium is the same everywhere"""
+    grids: wp.array[VolumeGrid]
+    fields: wp.array[Field]
+    values: wp.array[float]
+    bounds: wp.array[wp.vec2]
+    """Of each block the largest extinction [1/m], before `density`, and the largest emission"""
+    world: int
+    """First of the world's grids, from the innermost on; -1 where its medium does not vary"""
+    world_count: int
+
+
+@wp.struct
+class Spot:
+    """Where a point lies among cells: the lowest of the eight about it, the way to the others, weights of the upper."""
+
+    cell: int
+    count: int
+    dx: int
+    dy: int
+    dz: int
+    wx: float
+    wy: float
+    wz: float
+
+
+@wp.struct
+class Bound:
+    """What media come to at most up to a distance."""
+
+    majorant: float
+    """Of the extinction [1/m]; not below what finds enough of what shines"""
+    end: float
+    """From the ray's origin [m]"""
+
+
+@wp.func
+def grid_of(volumes: Volumes, medium: int, instance: int) -> int:
+    """Return the grid of an object's medium, -1 where it is the same everywhere."""
+    place = volumes.places[medium]
+    if place < 0:
+        return -1
+    return volumes.grid_of[place + instance]
+
+
+@wp.func
+def varies(media: Media, volumes: Volumes, inside: Inside) -> bool:
+    """Return whether anything that a path is in varies in space."""
+    out = bool(volumes.world >= 0)
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            out = out or grid_of(volumes, inside.media[i], inside.objects[i]) >= 0
+    return out
+
+
+@wp.func
+def within(grid: VolumeGrid, p: wp.vec3) -> bool:
+    """Return whether a place in cells is in a grid's box."""
+    return (p[0] >= 0.0 and p[1] >= 0.0 and p[2] >= 0.0
+            and p[0] <= float(grid.x) and p[1] <= float(grid.y) and p[2] <= float(grid.z))
+
+
+@wp.func
+def world_grid(volumes: Volumes, position: wp.vec3) -> int:
+    """Return the innermost of the world's grids about a point, -1 beyond all."""
+    found = int(-1)
+    i = int(volumes.world_count) - 1
+    while i >= 0:
+        if within(volumes.grids[volumes.world + i], transform_point(volumes.grids[volumes.world + i].to_cells, position)):
+            found = volumes.world + i
+        i = i - 1
+    return found
+
+
+@wp.func
+def spot_of(grid: VolumeGrid, position: wp.vec3) -> Spot:
+    """Return where a point lies among a grid's cells; outside as at the nearest of them."""
+    p = transform_point(grid.to_cells, position) - wp.vec3(0.5, 0.5, 0.5)
+    x = wp.clamp(p[0], 0.0, float(grid.x - 1))
+    y = wp.clamp(p[1], 0.0, float(grid.y - 1))
+    z = wp.clamp(p[2], 0.0, float(grid.z - 1))
+    i = wp.min(int(x), wp.max(grid.x - 2, 0))
+    j = wp.min(int(y), wp.max(grid.y - 2, 0))
+    k = wp.min(int(z), wp.max(grid.z - 2, 0))
+    out = Spot()
+    out.count = grid.x * grid.y * grid.z
+    out.cell = grid.values + (k * grid.y + j) * grid.x + i
+    out.dx = wp.where(grid.x > 1, 1, 0)
+    out.dy = wp.where(grid.y > 1, grid.x, 0)
+    out.dz = wp.where(grid.z > 1, grid.x * grid.y, 0)
+    out.wx = x - float(i)
+    out.wy = y - float(j)
+    out.wz = z - float(k)
+    return out
+
+
+@wp.func
+def tabled(volumes: Volumes, spot: Spot, channel: int) -> float:
+    """Return a channel at a point."""
+    a = spot.cell + channel * spot.count
+    b = a + spot.dy
+    c = a + spot.dz
+    d = b + spot.dz
+    near = wp.lerp(wp.lerp(volumes.values[a], volumes.values[a + spot.dx], spot.wx),
+                   wp.lerp(volumes.values[b], volumes.values[b + spot.dx], spot.wx), spot.wy)
+    far = wp.lerp(wp.lerp(volumes.values[c], volumes.values[c + spot.dx], spot.wx),
+                  wp.lerp(volumes.values[d], volumes.values[d + spot.dx], spot.wx), spot.wy)
+    return wp.lerp(near, far, spot.wz)
+
+
+@wp.func
+def field_at(volumes: Volumes, spot: Spot, index: int) -> wp.vec3:
+    """Return a coefficient at a point."""
+    field = volumes.fields[index]
+    if field.channel < 0:
+        return field.color
+    first = tabled(volumes, spot, field.channel)
+    if field.wide == 0:
+        return field.color * first
+    return wp.vec3(first, tabled(volumes, spot, field.channel + 1), tabled(volumes, spot, field.channel + 2))
+
+
+@wp.func
+def add_grid(volumes: Volumes, mixture: Mixture, index: int, position: wp.vec3) -> Mixture:
+    """Return a mixture with what a grid holds at a point."""
+    out = mixture
+    grid = volumes.grids[index]
+    spot = spot_of(grid, position)
+    out.extinction = out.extinction + field_at(volumes, spot, grid.fields + FIELD_EXTINCTION) * grid.density
+    out.emission = out.emission + field_at(volumes, spot, grid.fields + FIELD_EMISSION)
+    k = int(0)
+    while k < grid.phases:
+        scattering = field_at(volumes, spot, grid.fields + FIELD_PHASES + 2 * k)
+        out.scattering = out.scattering + scattering * grid.density
+        k = k + 1
+    return out
+
+
+@wp.func
+def mixture_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3) -> Mixture:
+    """Return what a path is in at a point, added up."""
+    out = Mixture()
+    if volumes.world >= 0:
+        about = world_grid(volumes, position)
+        if about >= 0:
+            out = add_grid(volumes, out, about, position)
+    else:
+        out = add_medium(media, out, media.world)
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            grid = grid_of(volumes, inside.media[i], inside.objects[i])
+            if grid >= 0:
+                out = add_grid(volumes, out, grid, position)
+            else:
+                out = add_medium(media, out, inside.media[i])
+    return out
+
+
+@wp.func
+def side_exit(p: float, d: float, low: float, high: float) -> float:
+    """Return how far it is along d from p, between two planes, to the one ahead."""
+    if d > 0.0:
+        return (high - p) / d
+    if d < 0.0:
+        return (low - p) / d
+    return 2.0 * FAR
+
+
+@wp.func
+def bound_in(volumes: Volumes, bound: Bound, index: int, origin: wp.vec3, direction: wp.vec3, t: float) -> Bound:
+    """Return a bound with that of a grid's block at a distance."""
+    grid = volumes.grids[index]
+    o = transform_point(grid.to_cells, origin) / float(BLOCK)
+    d = transform_direction(grid.to_cells, direction) / float(BLOCK)
+    way = 1.0 / wp.max(max_component(wp.vec3(wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2]))), 1.0e-30)
+    begin = t + NUDGE * way
+    p = o + d * begin
+    i = wp.clamp(int(wp.floor(p[0])), 0, grid.blocks_x - 1)
+    j = wp.clamp(int(wp.floor(p[1])), 0, grid.blocks_y - 1)
+    k = wp.clamp(int(wp.floor(p[2])), 0, grid.blocks_z - 1)
+    # The last blocks may be less than whole: none of their box is beyond them.
+    end = wp.min(side_exit(p[0], d[0], float(i), wp.min(float(i + 1), float(grid.x) / float(BLOCK))),
+                 wp.min(side_exit(p[1], d[1], float(j), wp.min(float(j + 1), float(grid.y) / float(BLOCK))),
+                        side_exit(p[2], d[2], float(k), wp.min(float(k + 1), float(grid.z) / float(BLOCK)))))
+    held = volumes.bounds[grid.blocks + (k * grid.blocks_y + j) * grid.blocks_x + i]
+    out = Bound()
+    # Beyond the box, as by rounding, its outermost cells go on.
+    out.end = wp.min(bound.end, begin + wp.max(end, 0.0))
+    majorant = held[0] * grid.density
+    if held[1] > 0.0:
+        majorant = wp.max(majorant, GLOW_POINTS / way)
+    out.majorant = bound.majorant + majorant
+    return out
+
+
+@wp.func
+def box_entry(grid: VolumeGrid, origin: wp.vec3, direction: wp.vec3) -> float:
+    """Return the distance at which a ray from outside enters a grid's box, FAR if it does not."""
+    o = transform_point(grid.to_cells, origin)
+    d = transform_direction(grid.to_cells, direction)
+    high = wp.vec3(float(grid.x), float(grid.y), float(grid.z))
+    near = float(0.0)
+    far = float(FAR)
+    for c in range(3):
+        if d[c] != 0.0:
+            a = -o[c] / d[c]
+            b = (high[c] - o[c]) / d[c]
+            near = wp.max(near, wp.min(a, b))
+            far = wp.min(far, wp.max(a, b))
+        elif o[c] < 0.0 or o[c] > high[c]:
+            near = FAR
+    return wp.where(near < far, near, FAR)
+
+
+@wp.func
+def bound_at(
+    media: Media, volumes: Volumes, inside: Inside, origin: wp.vec3, direction: wp.vec3, t: float, limit: float,
+) -> Bound:
+    """Return what media come to at most from a distance on, and how far that holds, at most to `limit`."""
+    out = Bound()
+    out.end = limit
+    shining = bool(False)
+    if volumes.world >= 0:
+        outermost = volumes.grids[volumes.world + volumes.world_count - 1]
+        size = float(outermost.x) / wp.length(transform_direction(outermost.to_cells, wp.vec3(1.0, 0.0, 0.0)))
+        # The innermost box's blocks are small beside rounding at the outermost's edge: looked for by its own size.
+        ahead = origin + direction * (t * (1.0 + 1.0e-6) + 1.0e-7 * size / wp.pow(2.0, float(volumes.world_count)))
+        about = world_grid(volumes, ahead)
+        if about >= 0:
+            out = bound_in(volumes, out, about, origin, direction, t)
+        else:
+            entry = box_entry(outermost, origin + direction * t, direction)
+            out.end = wp.min(out.end, t + wp.max(entry, 1.0e-6 * size))
+    elif media.world != NO_MEDIUM:
+        out.majorant = max_component(media.media[media.world].extinction)
+        shining = max_component(media.media[media.world].emission) > 0.0
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            grid = grid_of(volumes, inside.media[i], inside.objects[i])
+            if grid >= 0:
+                out = bound_in(volumes, out, grid, origin, direction, t)
+            else:
+                out.majorant = out.majorant + max_component(media.media[inside.media[i]].extinction)
+                shining = shining or max_component(media.media[inside.media[i]].emission) > 0.0
+    if shining:
+        out.majorant = wp.max(out.majorant, GLOW_POINTS / wp.max(out.end - t, 1.0e-30))
+    return out
+
+
+@wp.func
+def weigh_phases(
+    volumes: Volumes, choice: PhaseChoice, index: int, instance: int, position: wp.vec3,
+) -> PhaseChoice:
+    """Take a grid's phase functions into a choice; see media.choose_among."""
+    out = choice
+    grid = volumes.grids[index]
+    spot = spot_of(grid, position)
+    k = int(0)
+    while k < grid.phases:
+        place = grid.fields + FIELD_PHASES + 2 * k
+        weight = mean_component(field_at(volumes, spot, place)) * grid.density
+        if weight > 0.0:
+            out.total = out.total + weight
+            share = weight / out.total
+            if out.left < share:
+                out.left = out.left / share
+                out.anisotropy = field_at(volumes, spot, place + 1)[0]
+                out.instance = instance
+            else:
+                out.left = (out.left - share) / (1.0 - share)
+        k = k + 1
+    return out
+
+
+@wp.func
+def choose_phase_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, u: float) -> PhaseChoice:
+    """Draw one of the phase functions at a point."""
+    choice = PhaseChoice()
+    choice.left = u
+    choice.instance = -1
+    if volumes.world >= 0:
+        about = world_grid(volumes, position)
+        if about >= 0:
+            choice = weigh_phases(volumes, choice, about, -1, position)
+    else:
+        choice = choose_among(media, choice, media.world, -1)
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            grid = grid_of(volumes, inside.media[i], inside.objects[i])
+            if grid >= 0:
+                choice = weigh_phases(volumes, choice, grid, inside.objects[i], position)
+            else:
+                choice = choose_among(media, choice, inside.media[i], inside.objects[i])
+    return choice
+
+
+@wp.func
+def add_phases_of(volumes: Volumes, sums: wp.vec2, index: int, position: wp.vec3, cosine: float) -> wp.vec2:
+    """Add what a grid scatters by an angle at a point, and what in all; see media.add_phases."""
+    out = sums
+    grid = volumes.grids[index]
+    spot = spot_of(grid, position)
+    k = int(0)
+    while k < grid.phases:
+        place = grid.fields + FIELD_PHASES + 2 * k
+        weight = mean_component(field_at(volumes, spot, place)) * grid.density
+        if weight > 0.0:
+            out = out + wp.vec2(weight * phase(cosine, field_at(volumes, spot, place + 1)[0]), weight)
+        k = k + 1
+    return out
+
+
+@wp.func
+def phase_value_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, cosine: float) -> float:
+    """Return the share of light scattered at a point that goes on at an angle; see media.phase_value."""
+    sums = wp.vec2(0.0, 0.0)
+    if volumes.world >= 0:
+        about = world_grid(volumes, position)
+        if about >= 0:
+            sums = add_phases_of(volumes, sums, about, position, cosine)
+    else:
+        sums = add_phases(media, sums, media.world, cosine)
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            grid = grid_of(volumes, inside.media[i], inside.objects[i])
+            if grid >= 0:
+                sums = add_phases_of(volumes, sums, grid, position, cosine)
+            else:
+                sums = add_phases(media, sums, inside.media[i], cosine)
+    return sums[0] / wp.max(sums[1], 1.0e-36)

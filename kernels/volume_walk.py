@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Walks through media that vary in space: where these scatter a path, and what of light they let through. No kernels.
+
+Distances are those of delta tracking (Woodcock et al. 1965), shares those of ratio tracking (Novák et al. 2014,
+"Residual Ratio Tracking for Estimating Attenuation in Participating Media"), both by the largest extinction of each
+block. All channels share a walk; whether it is scattered at a point is drawn by what it carries on (Kutz et al. 2017,
+"Spectral and Decomposition Tracking for Rendering Heterogeneous Volumes", section 5.1): weights stay bounded.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .geometry_math import max_component, mean_component
+from .light_groups import GroupLight, GroupTables
+from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium, mixture_of, passing
+from .media_distance import Passage
+from .media_march import add_met
+from .paths import Options, Paths, add_light, limit_at
+from .sampling import hash_combine, hashed_unit
+from .volume_grids import Volumes, add_grid, bound_at, grid_of, mixture_at, varies, world_grid
+
+WALK_STEPS = wp.constant(1 << 16)
+"""Points and blocks that a walk meets at most"""
+FAINT = wp.constant(0.05)
+"""Of what a walk began with, what is left where chance decides whether it goes on"""
+
+
+@wp.func
+def part_at(volumes: Volumes, media: Media, index: int, instance: int, position: wp.vec3) -> wp.vec3:
+    """Return what one of an object's media emits at a point."""
+    grid = grid_of(volumes, index, instance)
+    if grid >= 0:
+        return add_grid(volumes, Mixture(), grid, position).emission
+    return media.media[index].emission
+
+
+@wp.func
+def world_part_at(volumes: Volumes, media: Media, position: wp.vec3) -> wp.vec3:
+    """Return what the world's medium emits at a point."""
+    if volumes.world >= 0:
+        about = world_grid(volumes, position)
+        if about >= 0:
+            return add_grid(volumes, Mixture(), about, position).emission
+        return wp.vec3(0.0, 0.0, 0.0)
+    return add_medium(media, Mixture(), media.world).emission
+
+
+@wp.func
+def gather_shine(
+    options: Options, media: Media, volumes: Volumes, inside: Inside, tables: GroupTables, groups: GroupLight,
+    paths: Paths, path: int, position: wp.vec3, emission: wp.vec3, share: wp.vec3,
+):
+    """Add what media emit at a point, as much as `share` says, with light groups to these as well."""
+    add_light(paths, path, wp.cw_mul(share, emission), limit_at(options, paths.state[path]))
+    if groups.known.shape[0] > 0:
+        add_met(options, groups, tables.world, paths, path, wp.cw_mul(share, world_part_at(volumes, media, position)))
+        for i in range(STACK_SIZE):
+            if inside.media[i] != NO_MEDIUM:
+                part = part_at(volumes, media, inside.media[i], inside.objects[i], position)
+                add_met(options, groups, tables.instances[inside.objects[i]], paths, path, wp.cw_mul(share, part))
+
+
+@wp.func
+def walk_media(
+    options: Options, media: Media, volumes: Volumes, inside: Inside, tables: GroupTables, groups: GroupLight,
+    paths: Paths, path: int, throughput: wp.vec3, start: float, end: float, seed: wp.uint32,
+) -> Passage:
+    """Return whether and where a path is scattered on a stretch of its ray, from its origin, and the weight of that.
+
+    Adds what the media on the way emit. `throughput`: at the stretch's begin.
+    """
+    origin = paths.origin[path]
+    direction = paths.direction[path]
+    out = Passage()
+    out.weight = wp.vec3(1.0, 1.0, 1.0)
+    t = float(start)
+    step = int(0)
+    going = bool(t < end)
+    while going and step < WALK_STEPS:
+        bound = bound_at(media, volumes, inside, origin, direction, t, end)
+        number = hash_combine(seed, wp.uint32(step))
+        ahead = bound.end
+        if bound.majorant > 0.0:
+            ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / bound.majorant
+        if ahead >= bound.end:
+            t = bound.end
+            going = t < end
+        else:
+            t = ahead
+            position = origin + direction * t
+            mixture = mixture_at(media, volumes, inside, position)
+            carried = wp.cw_mul(throughput, out.weight)
+            if max_component(mixture.emission) > 0.0:
+                gather_shine(options, media, volumes, inside, tables, groups, paths, path, position, mixture.emission,
+                             carried / bound.majorant)
+            majorant = wp.vec3(bound.majorant, bound.majorant, bound.majorant)
+            passed = wp.max(majorant - mixture.extinction, wp.vec3(0.0, 0.0, 0.0))
+            scattered = wp.abs(mean_component(wp.cw_mul(carried, mixture.scattering)))
+            left = wp.abs(mean_component(wp.cw_mul(carried, passed)))
+            chance = scattered / wp.max(scattered + left, 1.0e-36)
+            if not scattered + left > 0.0:
+                # All is absorbed.
+                out.weight = wp.vec3(0.0, 0.0, 0.0)
+                going = False
+            elif hashed_unit(number, wp.uint32(1)) < chance:
+                out.weight = wp.cw_mul(out.weight, mixture.scattering) / (bound.majorant * chance)
+                out.scattered = 1
+                out.t = t
+                going = False
+            else:
+                out.weight = wp.cw_mul(out.weight, passed) / (bound.majorant * (1.0 - chance))
+                if max_component(out.weight) < FAINT:
+                    # Half go on, twice as bright.
+                    out.weight = wp.where(
+                        hashed_unit(number, wp.uint32(2)) < 0.5, out.weight * 2.0, wp.vec3(0.0, 0.0, 0.0))
+                    going = max_component(out.weight) > 0.0
+        step = step + 1
+    return out
+
+
+@wp.func
+def share_of_way(
+    media: Media, volumes: Volumes, inside: Inside, origin: wp.vec3, direction: wp.vec3, start: float, end: float,
+    seed: wp.uint32,
+) -> wp.vec3:
+    """Return an estimate of the share of light that media let through on a stretch of a ray."""
+    if not varies(media, volumes, inside):
+        return passing(mixture_of(media, inside).extinction, end - start)
+    share = wp.vec3(1.0, 1.0, 1.0)
+    t = float(start)
+    step = int(0)
+    while t < end and step < WALK_STEPS:
+        bound = bound_at(media, volumes, inside, origin, direction, t, end)
+        number = hash_combine(seed, wp.uint32(step))
+        ahead = bound.end
+        if bound.majorant > 0.0:
+            ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / bound.majorant
+        if ahead >= bound.end:
+            t = bound.end
+        else:
+            t = ahead
+            extinction = mixture_at(media, volumes, inside, origin + direction * t).extinction
+            share = wp.cw_mul(share, wp.max(
+                wp.vec3(1.0, 1.0, 1.0) - extinction / bound.majorant, wp.vec3(0.0, 0.0, 0.0)))
+            if max_component(share) < FAINT:
+                if hashed_unit(number, wp.uint32(1)) < 0.5:
+                    share = share * 2.0
+                else:
+                    share = wp.vec3(0.0, 0.0, 0.0)
+                if not max_component(share) > 0.0:
+                    t = end
+        step = step + 1
+    return share
