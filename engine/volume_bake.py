@@ -25,7 +25,7 @@ COEFFICIENT_MAX = 1e20
 ANISOTROPY_MAX = 0.999
 
 CELLS_FIRST = 32
-"""Along the longest side of the coarsest grid"""
+"""Along each side of the coarsest grid"""
 
 TOLERANCE = 1e-3
 """Mean error of a grid, of its mean, with which it is fine enough"""
@@ -42,6 +42,8 @@ class Box:
     size: tuple[float, float, float]
     """Corner and sides, in the space that grids are looked up in before `to_cells`: an object's, or the scene's"""
     cells: tuple[int, int, int]
+    octaves: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The world's, as of kernels.volume_grids.VolumeGrid; `low` is the middle then, `size` the distance of 1 from it"""
 
     @property
     def count(self) -> int:
@@ -54,8 +56,8 @@ class Box:
         return tuple(-(-n // int(BLOCK)) for n in self.cells)
 
     def to_cells(self) -> np.ndarray:
-        """Return the matrix from the box's space to cells: float64 [4, 4]."""
-        scale = np.array(self.cells) / np.maximum(np.array(self.size), 1e-30)
+        """Return the matrix from the box's space to cells, or distances from the middle: float64 [4, 4]."""
+        scale = (1.0 if any(self.octaves) else np.array(self.cells)) / np.maximum(np.array(self.size), 1e-30)
         matrix = np.diag([*scale, 1.0])
         matrix[:3, 3] = -scale * np.array(self.low)
         return matrix
@@ -65,19 +67,10 @@ class Box:
         return Box(self.low, self.size, tuple(n * factor for n in self.cells))
 
 
-def box_of(low: np.ndarray, high: np.ndarray, scale: np.ndarray, cells: int) -> Box:
-    """Return the box of some bounds with so many cells along its longest side, as long as wide where it is drawn.
-
-    Args:
-        low: float64 [3].
-        high: float64 [3].
-        scale: float64 [3], of the axes where it is drawn.
-        cells: Along the longest side.
-    """
+def box_of(low: np.ndarray, high: np.ndarray, cells: int) -> Box:
+    """Return the box of some bounds (float64 [3] each) with so many cells along each side: flat ones hold fog too."""
     size = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-20))
-    sides = size * scale
-    counts = np.clip(np.ceil(cells * sides / max(float(sides.max()), 1e-30) - 1e-6), 1, cells).astype(int)
-    return Box(tuple(low.tolist()), tuple(size.tolist()), tuple(counts.tolist()))
+    return Box(tuple(low.tolist()), tuple(size.tolist()), (cells,) * 3)
 
 
 def channels_of(varying: VaryingData) -> list[tuple[Program, bool, bool]]:
@@ -211,6 +204,7 @@ class Oven:
             for lone, start, wide, signed in self._programs:
                 table = VolumeTable()
                 table.to_point = wp.mat44(*to_point.astype(np.float32).ravel().tolist())
+                table.octaves = wp.vec3(*box.octaves)
                 table.x, table.y, table.z = box.cells
                 table.instance = -1 if self.row is None else 0
                 table.start, table.offset, table.channels = start, offset, 3 if wide else 1
@@ -231,9 +225,9 @@ class Oven:
         return BakedGrid(box, values, bounds)
 
 
-def bake_boxes(oven: Oven, low: np.ndarray, high: np.ndarray, scale: np.ndarray, cells_max: int) -> BakedGrid:
+def bake_boxes(oven: Oven, low: np.ndarray, high: np.ndarray, cells_max: int) -> BakedGrid:
     """Return the grid of some bounds, as fine as the medium asks for; arguments as of box_of."""
-    box = box_of(low, high, scale, min(CELLS_FIRST, cells_max))
+    box = box_of(low, high, min(CELLS_FIRST, cells_max))
     coarse = oven.bake(box)
     cells = max(box.cells)
     if 2 * cells > cells_max:

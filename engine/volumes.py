@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,16 +23,19 @@ if TYPE_CHECKING:
 __all__ = ["SceneVolumes"]
 
 CELLS_MAX = {False: 128, True: 256}
-"""Along the longest side of an object's grid, on a processor and on CUDA"""
+"""Along each side of an object's grid, on a processor and on CUDA"""
 
 VALUES_MAX = {False: 1 << 25, True: 1 << 27}
 """Of all objects' grids together, which get coarser for it [floats]"""
 
-WORLD_CELLS = 64
-"""Along each side of the world's boxes; a multiple of four blocks, so that those within end between blocks"""
+WORLD_CELLS = (128, 128, 512)
+"""Of the world's box"""
 
-WORLD_FIRST, WORLD_LAST = -3, 12
-"""Half sizes of the world's boxes are the scene's radius times 2 to these powers, and those between"""
+WORLD_SCALE = (1.0 / 64.0, 1.0 / 64.0, 1.0 / 4096.0)
+"""Of the scene's radius, the distance from the middle within which the world's cells are about alike"""
+
+WORLD_SIZE = 4096.0
+"""Of the scene's radius, half the sides of the world's box"""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class SceneVolumes:
     def __init__(self, device: str) -> None:
         self.device = device
         self.cuda = wp.get_device(device).is_cuda
-        self._baked: dict[Hashable, list[BakedGrid]] = {}
+        self._baked: dict[Hashable, BakedGrid] = {}
         self._joined: tuple[list[BakedGrid], wp.array, wp.array] | None = None
 
     def update(
@@ -83,13 +87,13 @@ class SceneVolumes:
         for body in bodies:
             key = self._key(source, body, cells)
             if key not in self._baked:
-                self._baked[key] = before.get(key) or [self._bake(source, body, cells)]
+                self._baked[key] = before.get(key) or self._bake(source, body, cells)
             chosen.append(self._baked[key])
-        world_grids: list[BakedGrid] = []
         if outside is not None:
             key = (outside, "world", source.radius, tuple(source.origin), self._middle(source))
-            world_grids = self._baked[key] = before.get(key) or self._bake_world(source, outside)
-        return self._struct(source, bodies, chosen, outside, world_grids, places)
+            self._baked[key] = before.get(key) or self._bake_world(source, outside)
+            chosen.append(self._baked[key])
+        return self._struct(source, bodies, chosen, outside, places)
 
     def _bodies(self, source: DeviceScene, places: Mapping[int, tuple[int, MediumData]]) -> list[_Body]:
         """Return all drawn objects with media that vary."""
@@ -117,7 +121,7 @@ class SceneVolumes:
         return source.store.ranges[source.table.mesh_keys[source.table.mesh_index[instance]]].volume
 
     def _cells(self, bodies: list[_Body]) -> int:
-        """Return how many cells there are along objects' longest sides."""
+        """Return how many cells there are along each side of objects' grids."""
         cells = CELLS_MAX[self.cuda]
         channels = sum(len(body.varying.fields) for body in bodies)
         while cells > 8 and channels * cells**3 > VALUES_MAX[self.cuda]:
@@ -135,12 +139,7 @@ class SceneVolumes:
             place = (table.transforms[instance].tobytes(), tuple(source.origin), int(table.pass_index[instance]),
                      int(table.random_id[instance]), table.color[instance].tobytes(), properties, body.material)
         return (body.varying, id(mesh.volume) if mesh.volume is not None else None, mesh.low.tobytes(),
-                mesh.high.tobytes(), generated, self._sides(source, instance).tobytes(), cells, place)
-
-    def _sides(self, source: DeviceScene, instance: int) -> np.ndarray:
-        """Return how long an object's axes are where it stands, the longest 1: float64 [3], to powers of two."""
-        lengths = np.linalg.norm(source.table.transforms[instance][:3, :3], axis=0)
-        return np.exp2(np.round(np.log2(np.maximum(lengths / max(float(lengths.max()), 1e-30), 1e-3))))
+                mesh.high.tobytes(), generated, cells, place)
 
     def _bake(self, source: DeviceScene, body: _Body, cells: int) -> BakedGrid:
         """Return the grid of an object."""
@@ -158,35 +157,33 @@ class SceneVolumes:
         if mesh.volume is not None:
             oven.to_point = matrix @ mesh.volume.to_object
             return oven.bake(Box(*mesh.volume.box))
-        return bake_boxes(oven, mesh.low, mesh.high, self._sides(source, instance), cells)
+        return bake_boxes(oven, mesh.low, mesh.high, cells)
 
     def _middle(self, source: DeviceScene) -> tuple[float, ...]:
-        """Return the middle of what is drawn."""
+        """Return where the world's cells are smallest: amid what is drawn, as low as its lowest, where fog lies."""
         if not source.drawn.any():
             return (0.0, 0.0, 0.0)
         low, high = source.low[source.drawn].min(0), source.high[source.drawn].max(0)
-        return tuple((0.5 * (low + high)).tolist())
+        return (*(0.5 * (low + high))[:2].tolist(), float(low[2]))
 
-    def _bake_world(self, source: DeviceScene, varying: VaryingData) -> list[BakedGrid]:
-        """Return the world's grids, from the innermost on."""
+    def _bake_world(self, source: DeviceScene, varying: VaryingData) -> BakedGrid:
+        """Return the world's grid."""
         # Its programs' points have no instance: they are where they say.
         to_point = np.eye(4)
         to_point[:3, 3] = source.origin
         oven = Oven(varying, source.scene, source.textures.index, tuple(source.origin), self.device,
                     to_point=to_point)
-        middle, grids = np.array(self._middle(source)), []
-        for power in range(WORLD_FIRST, WORLD_LAST + 1):
-            half = source.radius * 2.0**power
-            box = Box(tuple((middle - half).tolist()), (2.0 * half,) * 3, (WORLD_CELLS,) * 3)
-            grids.append(oven.bake(box))
-        return grids
+        octaves = tuple(0.5 * n / math.log2(1.0 + WORLD_SIZE / scale)
+                        for n, scale in zip(WORLD_CELLS, WORLD_SCALE, strict=True))
+        size = tuple(source.radius * scale for scale in WORLD_SCALE)
+        return oven.bake(Box(self._middle(source), size, WORLD_CELLS, octaves))
 
     def _struct(
-        self, source: DeviceScene, bodies: list[_Body], chosen: list[list[BakedGrid]], outside: VaryingData | None,
-        world_grids: list[BakedGrid], places: Mapping[int, tuple[int, MediumData]],
+        self, source: DeviceScene, bodies: list[_Body], chosen: list[BakedGrid], outside: VaryingData | None,
+        places: Mapping[int, tuple[int, MediumData]],
     ) -> Volumes:
-        """Return everything on the device."""
-        distinct = list({id(grid): grid for grids in [*chosen, world_grids] for grid in grids}.values())
+        """Return everything on the device; `chosen`: the bodies' grids, and the world's if it varies."""
+        distinct = list({id(grid): grid for grid in chosen}.values())
         if self._joined is None or [id(grid) for grid in self._joined[0]] != [id(grid) for grid in distinct]:
             self._joined = (distinct, concatenated([grid.values for grid in distinct], float, self.device),
                             concatenated([grid.bounds for grid in distinct], wp.vec2, self.device))
@@ -196,17 +193,16 @@ class SceneVolumes:
             values, blocks = values + len(grid.values), blocks + len(grid.bounds)
         fields: list[tuple] = []
         starts: dict[VaryingData, int] = {}
-        rows = np.zeros(max(len(bodies) + len(world_grids), 1), VolumeGrid.numpy_dtype())
+        rows = np.zeros(len(chosen), VolumeGrid.numpy_dtype())
         count = len(source.table.mesh_index)
         media = 1 + max((row for row, _ in places.values()), default=-1) + (1 if outside is not None else 0)
         in_media = np.full(media, -1, np.int32)
         for medium in dict.fromkeys(body.medium for body in bodies):
             in_media[medium] = int((in_media >= 0).sum()) * count
         grid_of = np.full(max(int((in_media >= 0).sum()) * count, 1), -1, np.int32)
-        entries = [(body.varying, grids[0], self._to_scene(source, body.instance), body.density)
-                   for body, grids in zip(bodies, chosen, strict=True)]
-        entries += [(outside, grid, np.eye(4), 1.0) for grid in world_grids]
-        for number, (varying, grid, to_box, density) in enumerate(entries):
+        entries = [(body.varying, self._to_scene(source, body.instance), body.density) for body in bodies]
+        entries += [(outside, np.eye(4), 1.0)] if outside is not None else []
+        for number, (grid, (varying, to_box, density)) in enumerate(zip(chosen, entries, strict=True)):
             if varying not in starts:
                 starts[varying] = len(fields)
                 fields.extend(field_rows(varying))
@@ -215,6 +211,7 @@ class SceneVolumes:
             row["x"], row["y"], row["z"] = grid.box.cells
             row["blocks_x"], row["blocks_y"], row["blocks_z"] = grid.box.blocks
             row["values"], row["blocks"] = value_starts[id(grid)], block_starts[id(grid)]
+            row["octaves"] = grid.box.octaves
             row["fields"], row["phases"], row["density"] = starts[varying], len(varying.phases), density
             if number < len(bodies):
                 grid_of[in_media[bodies[number].medium] + bodies[number].instance] = number
@@ -227,7 +224,7 @@ class SceneVolumes:
             row["color"], row["channel"], row["wide"] = color, channel, wide
         out.fields = wp.array(held, dtype=Field, device=self.device)
         out.values, out.bounds = self._joined[1], self._joined[2]
-        out.world, out.world_count = (len(bodies), len(world_grids)) if world_grids else (-1, 0)
+        out.world = len(bodies) if outside is not None else -1
         return out
 
     def _to_scene(self, source: DeviceScene, instance: int) -> np.ndarray:

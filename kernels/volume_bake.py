@@ -8,7 +8,7 @@ import warp as wp
 from .geometry_math import max_component, transform_point
 from .nodes import run
 from .types import Scene, ShadingPoint
-from .volume_grids import BLOCK, FIELD_EMISSION, FIELD_EXTINCTION, Field, VolumeGrid
+from .volume_grids import BLOCK, FIELD_EMISSION, FIELD_EXTINCTION, Field, VolumeGrid, narrowed
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -18,7 +18,9 @@ class VolumeTable:
     """What is tabled of one program."""
 
     to_point: wp.mat44
-    """From cells to where the program's points are"""
+    """From cells, or distances from the middle, to where the program's points are"""
+    octaves: wp.vec3
+    """As of VolumeGrid"""
     x: int
     y: int
     z: int
@@ -68,8 +70,9 @@ def bake_volume(
     j = (index // table.x) % table.y
     k = index // (table.x * table.y)
     point = ShadingPoint()
-    point.position = transform_point(
-        table.to_point, wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5))
+    point.position = transform_point(table.to_point, wp.vec3(
+        narrowed(float(i) + 0.5, table.x, table.octaves[0]), narrowed(float(j) + 0.5, table.y, table.octaves[1]),
+        narrowed(float(k) + 0.5, table.z, table.octaves[2])))
     point.instance = table.instance
     point.triangle = index - table.attributes
     color = run(scene, point, table.start, 0.0).emission

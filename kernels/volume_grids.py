@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Media that vary in space: grids of their coefficients, and bounds of these for walks. No kernels.
 
-What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py), the world's over
-nested boxes, each twice as large as the one within. Coefficients are trilinear between the middles of cells. A grid's
+What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py). The world's box is
+far larger than the scene: its cells get wider with the distance from the middle planes, along each axis by itself, so
+that ground fog is as low far away. Coefficients are trilinear between the middles of cells. A grid's
 cells lie in blocks, of which the largest extinction is known: walks take each block with its own (Szirmay-Kalos et al.
 2011, "Free Path Sampling in High Resolution Inhomogeneous Participating Media").
 """
@@ -62,6 +63,9 @@ class VolumeGrid:
     """Number of its phase functions"""
     density: float
     """Factor on extinction and scattering"""
+    octaves: wp.vec3
+    """The world's: cells along each axis for each doubling of the distance from the middle; 0: all are alike, and
+    `to_cells` leads to cells, else to distances from the middle"""
 
 
 @wp.struct
@@ -78,8 +82,7 @@ class Volumes:
     bounds: wp.array[wp.vec2]
     """Of each block the largest extinction [1/m], before `density`, and the largest emission"""
     world: int
-    """First of the world's grids, from the innermost on; -1 where its medium does not vary"""
-    world_count: int
+    """Grid of the world's; -1 where its medium does not vary"""
 
 
 @wp.struct
@@ -126,28 +129,46 @@ def varies(media: Media, volumes: Volumes, inside: Inside) -> bool:
 
 
 @wp.func
-def within(grid: VolumeGrid, p: wp.vec3) -> bool:
-    """Return whether a place in cells is in a grid's box."""
-    return (p[0] >= 0.0 and p[1] >= 0.0 and p[2] >= 0.0
-            and p[0] <= float(grid.x) and p[1] <= float(grid.y) and p[2] <= float(grid.z))
+def widened(x: float, count: int, octave: float) -> float:
+    """Return the place among so many cells of a distance from the middle."""
+    way = octave * wp.log2(1.0 + wp.abs(x))
+    return 0.5 * float(count) + wp.where(x < 0.0, -way, way)
+
+
+@wp.func
+def narrowed(cell: float, count: int, octave: float) -> float:
+    """Return the distance from the middle of a place among cells, the inverse of widened()."""
+    if octave == 0.0:
+        return cell
+    beside = cell - 0.5 * float(count)
+    way = wp.pow(2.0, wp.abs(beside) / octave) - 1.0
+    return wp.where(beside < 0.0, -way, way)
+
+
+@wp.func
+def cells_of(grid: VolumeGrid, p: wp.vec3) -> wp.vec3:
+    """Return a place among cells, of what `to_cells` leads to."""
+    if grid.octaves[0] == 0.0:
+        return p
+    return wp.vec3(widened(p[0], grid.x, grid.octaves[0]), widened(p[1], grid.y, grid.octaves[1]),
+                   widened(p[2], grid.z, grid.octaves[2]))
 
 
 @wp.func
 def world_grid(volumes: Volumes, position: wp.vec3) -> int:
-    """Return the innermost of the world's grids about a point, -1 beyond all."""
-    found = int(-1)
-    i = int(volumes.world_count) - 1
-    while i >= 0:
-        if within(volumes.grids[volumes.world + i], transform_point(volumes.grids[volumes.world + i].to_cells, position)):
-            found = volumes.world + i
-        i = i - 1
-    return found
+    """Return the world's grid, -1 beyond its box."""
+    grid = volumes.grids[volumes.world]
+    p = cells_of(grid, transform_point(grid.to_cells, position))
+    if (p[0] >= 0.0 and p[1] >= 0.0 and p[2] >= 0.0
+            and p[0] <= float(grid.x) and p[1] <= float(grid.y) and p[2] <= float(grid.z)):
+        return volumes.world
+    return -1
 
 
 @wp.func
 def spot_of(grid: VolumeGrid, position: wp.vec3) -> Spot:
     """Return where a point lies among a grid's cells; outside as at the nearest of them."""
-    p = transform_point(grid.to_cells, position) - wp.vec3(0.5, 0.5, 0.5)
+    p = cells_of(grid, transform_point(grid.to_cells, position)) - wp.vec3(0.5, 0.5, 0.5)
     x = wp.clamp(p[0], 0.0, float(grid.x - 1))
     y = wp.clamp(p[1], 0.0, float(grid.y - 1))
     z = wp.clamp(p[2], 0.0, float(grid.z - 1))
@@ -239,21 +260,40 @@ def side_exit(p: float, d: float, low: float, high: float) -> float:
 
 
 @wp.func
+def block_width(p: float, octave: float) -> float:
+    """Return about how wide a block is, in what `to_cells` leads to."""
+    if octave == 0.0:
+        return float(BLOCK)
+    return 0.7 * float(BLOCK) / octave * (1.0 + wp.abs(p))
+
+
+@wp.func
+def axis_exit(p: float, d: float, block: int, count: int, octave: float) -> float:
+    """Return how far it is along an axis out of a block. The last may be less than whole: none of its box is beyond."""
+    low = narrowed(float(block * BLOCK), count, octave)
+    high = narrowed(float(wp.min((block + 1) * BLOCK, count)), count, octave)
+    return side_exit(p, d, low, high)
+
+
+@wp.func
 def bound_in(volumes: Volumes, bound: Bound, index: int, origin: wp.vec3, direction: wp.vec3, t: float) -> Bound:
     """Return a bound with that of a grid's block at a distance."""
     grid = volumes.grids[index]
-    o = transform_point(grid.to_cells, origin) / float(BLOCK)
-    d = transform_direction(grid.to_cells, direction) / float(BLOCK)
-    way = 1.0 / wp.max(max_component(wp.vec3(wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2]))), 1.0e-30)
+    o = transform_point(grid.to_cells, origin)
+    d = transform_direction(grid.to_cells, direction)
+    p = o + d * t
+    way = wp.min(block_width(p[0], grid.octaves[0]) / wp.max(wp.abs(d[0]), 1.0e-30),
+                 wp.min(block_width(p[1], grid.octaves[1]) / wp.max(wp.abs(d[1]), 1.0e-30),
+                        block_width(p[2], grid.octaves[2]) / wp.max(wp.abs(d[2]), 1.0e-30)))
     begin = t + NUDGE * way
     p = o + d * begin
-    i = wp.clamp(int(wp.floor(p[0])), 0, grid.blocks_x - 1)
-    j = wp.clamp(int(wp.floor(p[1])), 0, grid.blocks_y - 1)
-    k = wp.clamp(int(wp.floor(p[2])), 0, grid.blocks_z - 1)
-    # The last blocks may be less than whole: none of their box is beyond them.
-    end = wp.min(side_exit(p[0], d[0], float(i), wp.min(float(i + 1), float(grid.x) / float(BLOCK))),
-                 wp.min(side_exit(p[1], d[1], float(j), wp.min(float(j + 1), float(grid.y) / float(BLOCK))),
-                        side_exit(p[2], d[2], float(k), wp.min(float(k + 1), float(grid.z) / float(BLOCK)))))
+    cell = cells_of(grid, p) / float(BLOCK)
+    i = wp.clamp(int(wp.floor(cell[0])), 0, grid.blocks_x - 1)
+    j = wp.clamp(int(wp.floor(cell[1])), 0, grid.blocks_y - 1)
+    k = wp.clamp(int(wp.floor(cell[2])), 0, grid.blocks_z - 1)
+    end = wp.min(axis_exit(p[0], d[0], i, grid.x, grid.octaves[0]),
+                 wp.min(axis_exit(p[1], d[1], j, grid.y, grid.octaves[1]),
+                        axis_exit(p[2], d[2], k, grid.z, grid.octaves[2])))
     held = volumes.bounds[grid.blocks + (k * grid.blocks_y + j) * grid.blocks_x + i]
     out = Bound()
     # Beyond the box, as by rounding, its outermost cells go on.
@@ -266,20 +306,21 @@ def bound_in(volumes: Volumes, bound: Bound, index: int, origin: wp.vec3, direct
 
 
 @wp.func
-def box_entry(grid: VolumeGrid, origin: wp.vec3, direction: wp.vec3) -> float:
-    """Return the distance at which a ray from outside enters a grid's box, FAR if it does not."""
+def world_entry(grid: VolumeGrid, origin: wp.vec3, direction: wp.vec3) -> float:
+    """Return the distance at which a ray from outside enters the world's box, FAR if it does not."""
     o = transform_point(grid.to_cells, origin)
     d = transform_direction(grid.to_cells, direction)
-    high = wp.vec3(float(grid.x), float(grid.y), float(grid.z))
+    high = wp.vec3(narrowed(float(grid.x), grid.x, grid.octaves[0]), narrowed(float(grid.y), grid.y, grid.octaves[1]),
+                   narrowed(float(grid.z), grid.z, grid.octaves[2]))
     near = float(0.0)
     far = float(FAR)
     for c in range(3):
         if d[c] != 0.0:
-            a = -o[c] / d[c]
+            a = (-high[c] - o[c]) / d[c]
             b = (high[c] - o[c]) / d[c]
             near = wp.max(near, wp.min(a, b))
             far = wp.min(far, wp.max(a, b))
-        elif o[c] < 0.0 or o[c] > high[c]:
+        elif wp.abs(o[c]) > high[c]:
             near = FAR
     return wp.where(near < far, near, FAR)
 
@@ -293,16 +334,12 @@ def bound_at(
     out.end = limit
     shining = bool(False)
     if volumes.world >= 0:
-        outermost = volumes.grids[volumes.world + volumes.world_count - 1]
-        size = float(outermost.x) / wp.length(transform_direction(outermost.to_cells, wp.vec3(1.0, 0.0, 0.0)))
-        # The innermost box's blocks are small beside rounding at the outermost's edge: looked for by its own size.
-        ahead = origin + direction * (t * (1.0 + 1.0e-6) + 1.0e-7 * size / wp.pow(2.0, float(volumes.world_count)))
-        about = world_grid(volumes, ahead)
-        if about >= 0:
-            out = bound_in(volumes, out, about, origin, direction, t)
+        if world_grid(volumes, origin + direction * t) >= 0:
+            out = bound_in(volumes, out, volumes.world, origin, direction, t)
         else:
-            entry = box_entry(outermost, origin + direction * t, direction)
-            out.end = wp.min(out.end, t + wp.max(entry, 1.0e-6 * size))
+            entry = world_entry(volumes.grids[volumes.world], origin + direction * t, direction)
+            # Rounding, of what lies that far away.
+            out.end = wp.min(out.end, (t + entry) * (1.0 + 1.0e-5))
     elif media.world != NO_MEDIUM:
         out.majorant = max_component(media.media[media.world].extinction)
         shining = max_component(media.media[media.world].emission) > 0.0

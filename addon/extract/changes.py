@@ -126,7 +126,7 @@ class MeshKeys:
                 versions.append(None)
                 continue
             # An evaluated mesh without a number of its own is told apart by its address.
-            version = source.data.session_uid or ("address", source.data.as_pointer())
+            version = source.volume or source.data.session_uid or ("address", source.data.as_pointer())
             versions.append(version)
             if version not in slots:
                 ordinal = counts.get(source.uid, 0)

@@ -22,6 +22,7 @@ from ...engine.scene import InstanceTable, Visibility
 from .linking import Linking, links_of
 from .object_hash import object_random_id
 from .properties import UNUSED_ID, property_columns, property_of
+from .volume_object import volume_version
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
            "look_of", "placeable", "read_transforms"]
@@ -36,7 +37,6 @@ _SINGULAR = 1e-6
 _NOT_DRAWN = {
     'CURVES': "hair curves are not drawn in this version",
     'POINTCLOUD': "point clouds are not drawn in this version",
-    'VOLUME': "volumes are not drawn in this version",
     'GREASEPENCIL': "grease pencil is not drawn",
     'GPENCIL': "grease pencil is not drawn",
     'LIGHT_PROBE': "light probes are not used: light is traced",
@@ -64,7 +64,7 @@ class Source:
     owner: bpy.types.Object
     """Evaluated object that the data belongs to"""
     data: bpy.types.ID
-    """Evaluated mesh or lamp"""
+    """Evaluated mesh, volume or lamp"""
     uid: int
     """session_uid of the original object"""
     name: str
@@ -78,6 +78,8 @@ class Source:
     light_group: str = ""
     links: tuple[int | None, int | None] = (None, None)
     """Sets of what it lights and of what casts its shadows, from Linking.read"""
+    volume: Hashable = None
+    """Of a volume object or smoke domain, what its grids depend on (volume_object.py)"""
 
     @property
     def is_light(self) -> bool:
@@ -241,6 +243,11 @@ class _Walk:
     def _is_drawn(self, item: bpy.types.Object) -> bool:
         if isinstance(item.data, (bpy.types.Mesh, bpy.types.Light)):
             return True
+        if isinstance(item.data, bpy.types.Volume):
+            if any(self._material_set(item)):
+                return True
+            self.report.add(ReportKind.SKIPPED, f"object '{item.name}'", "is a volume without a material, not drawn")
+            return False
         message = _NOT_DRAWN.get(item.type)
         if message is not None:
             kind = ReportKind.INFO if item.type == 'LIGHT_PROBE' else ReportKind.SKIPPED
@@ -274,13 +281,14 @@ class _Walk:
         if found is not None:
             return found
         sources = self.gathered.sources
-        is_mesh = isinstance(item.data, bpy.types.Mesh)
+        is_mesh = isinstance(item.data, (bpy.types.Mesh, bpy.types.Volume))
         sources.append(Source(
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
             color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
             asset=_uppermost(owner).name, light_group=owner.lightgroup,
-            links=self.gathered.linking.read(owner)))
+            links=self.gathered.linking.read(owner),
+            volume=volume_version(owner, item.data, self.gathered.frame) if is_mesh else None))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
 

@@ -27,6 +27,7 @@ from .material import from_xyz
 from .mesh import extract_mesh
 from .moves import Moves
 from .properties import LayerProperties
+from .volume_object import extract_volume
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
 
@@ -278,6 +279,8 @@ class SceneExtractor:
     def _read_mesh(self, key: int, source: Source) -> MeshData:
         mesh_report = self._mesh_reports[key] = Report()
         owner, slot_count = f"object '{source.name}'", len(source.material_set)
+        if source.volume is not None:
+            return extract_volume(source.owner, source.data, source.name, mesh_report)
         if not source.data.is_editmode:
             return extract_mesh(source.data, owner, slot_count, mesh_report, self._derived[key])
         # In edit mode the evaluated mesh has no arrays of its own.
