@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Media that vary in space: grids of their coefficients, and bounds of these for walks. No kernels.
 
-What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py). The world's box is
-far larger than the scene: its cells get wider with the distance from the middle planes, along each axis by itself, so
-that ground fog is as low far away. Coefficients are trilinear between the middles of cells. A grid's
-cells lie in blocks, of which the largest extinction is known: walks take each block with its own (Szirmay-Kalos et al.
-2011, "Free Path Sampling in High Resolution Inhomogeneous Participating Media").
+What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py). The world's box
+is far larger than the scene: its cells get wider with the distance from the middle planes, along each axis by itself,
+so that ground fog is as low far away. Coefficients are trilinear between the middles of cells. A grid's cells lie in
+blocks, of which the largest extinction is known: walks take each block with its own (Szirmay-Kalos et al. 2011, "Free
+Path Sampling in High Resolution Inhomogeneous Participating Media").
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import max_component, mean_component, transform_direction, transform_point
+from .geometry_math import max_component, transform_direction, transform_point
 from .lamp_hit import FAR
-from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, PhaseChoice, add_medium, add_phases, choose_among
-from .subsurface import phase
+from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium
 
 BLOCK = wp.constant(8)
 """Sides of a block in cells"""
@@ -354,86 +353,3 @@ def bound_at(
     if shining:
         out.majorant = wp.max(out.majorant, GLOW_POINTS / wp.max(out.end - t, 1.0e-30))
     return out
-
-
-@wp.func
-def weigh_phases(
-    volumes: Volumes, choice: PhaseChoice, index: int, instance: int, position: wp.vec3,
-) -> PhaseChoice:
-    """Take a grid's phase functions into a choice; see media.choose_among."""
-    out = choice
-    grid = volumes.grids[index]
-    spot = spot_of(grid, position)
-    k = int(0)
-    while k < grid.phases:
-        place = grid.fields + FIELD_PHASES + 2 * k
-        weight = mean_component(field_at(volumes, spot, place)) * grid.density
-        if weight > 0.0:
-            out.total = out.total + weight
-            share = weight / out.total
-            if out.left < share:
-                out.left = out.left / share
-                out.anisotropy = field_at(volumes, spot, place + 1)[0]
-                out.instance = instance
-            else:
-                out.left = (out.left - share) / (1.0 - share)
-        k = k + 1
-    return out
-
-
-@wp.func
-def choose_phase_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, u: float) -> PhaseChoice:
-    """Draw one of the phase functions at a point."""
-    choice = PhaseChoice()
-    choice.left = u
-    choice.instance = -1
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            choice = weigh_phases(volumes, choice, about, -1, position)
-    else:
-        choice = choose_among(media, choice, media.world, -1)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                choice = weigh_phases(volumes, choice, grid, inside.objects[i], position)
-            else:
-                choice = choose_among(media, choice, inside.media[i], inside.objects[i])
-    return choice
-
-
-@wp.func
-def add_phases_of(volumes: Volumes, sums: wp.vec2, index: int, position: wp.vec3, cosine: float) -> wp.vec2:
-    """Add what a grid scatters by an angle at a point, and what in all; see media.add_phases."""
-    out = sums
-    grid = volumes.grids[index]
-    spot = spot_of(grid, position)
-    k = int(0)
-    while k < grid.phases:
-        place = grid.fields + FIELD_PHASES + 2 * k
-        weight = mean_component(field_at(volumes, spot, place)) * grid.density
-        if weight > 0.0:
-            out = out + wp.vec2(weight * phase(cosine, field_at(volumes, spot, place + 1)[0]), weight)
-        k = k + 1
-    return out
-
-
-@wp.func
-def phase_value_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, cosine: float) -> float:
-    """Return the share of light scattered at a point that goes on at an angle; see media.phase_value."""
-    sums = wp.vec2(0.0, 0.0)
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            sums = add_phases_of(volumes, sums, about, position, cosine)
-    else:
-        sums = add_phases(media, sums, media.world, cosine)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                sums = add_phases_of(volumes, sums, grid, position, cosine)
-            else:
-                sums = add_phases(media, sums, inside.media[i], cosine)
-    return sums[0] / wp.max(sums[1], 1.0e-36)

@@ -29,7 +29,8 @@ from .sampling import (
 )
 from .subsurface import phase_cosine
 from .types import VISIBLE_VOLUME, FrameData, Scene
-from .volume_grids import Volumes, choose_phase_at, phase_value_at
+from .volume_grids import Volumes
+from .volume_phases import choose_phase_at, phase_value_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 

@@ -15,6 +15,7 @@ from ..errors import BurnishError
 from ..media import MediumData, PhaseData
 from ..program import ProgramBuilder
 from ..scene import CameraData, CameraKind, LightData, LightKind, MaterialData, MeshData, Visibility
+from ..volume_program import FieldData, VaryingData, VolumeBuilder
 from .cases import BOTH, Case, Trial
 from .scenes import Placed, StressScene, box, lamp, look_at, make_mesh, make_scene, material, principled, quad, sphere
 
@@ -142,7 +143,22 @@ def random_medium(choose: Chooser) -> MediumData:
     phases = tuple(PhaseData(tuple(value(choose, 0, 3) for _ in range(3)), value(choose, -1, 1))
                    for _ in range(choose.whole(0, 2)))
     glow = tuple(value(choose, 0, 1) for _ in range(3)) if choose.whole(0, 3) == 3 else (0.0, 0.0, 0.0)
-    return MediumData(tuple(value(choose, 0, 5) for _ in range(3)), glow, phases)
+    medium = MediumData(tuple(value(choose, 0, 5) for _ in range(3)), glow, phases)
+    return replace(medium, varying=random_fields(choose, medium)) if choose.whole(0, 1) else medium
+
+
+def random_fields(choose: Chooser, medium: MediumData) -> VaryingData:
+    """Return the medium's coefficients times noise or a coordinate, one or all of them by channels."""
+    builder = VolumeBuilder(optional=False)
+    place = builder.input(choose.pick(("OBJECT", "GENERATED", "POSITION")))
+    if choose.whole(0, 1):
+        place = builder.vector("SINE", builder.vector("MULTIPLY", place, value(choose, 0, 20)))
+    one, wide = builder.compiled(builder.vector("AVERAGE", place)), builder.compiled(place)
+    scattering = tuple((FieldData(part.scattering, one), FieldData((part.anisotropy,) * 3)) for part in medium.phases)
+    extinction = FieldData(medium.extinction, one)
+    if choose.whole(0, 1):
+        extinction = FieldData((1.0, 1.0, 1.0), wide, wide=True)
+    return VaryingData(extinction, FieldData(medium.emission, one), scattering)
 
 
 def filled(choose: Chooser, made: MaterialData) -> MaterialData:

@@ -114,7 +114,7 @@ def told(made):
     data = (extract_world if isinstance(made, bpy.types.World) else extract_material)(made, None, report)
     medium = data.medium
     coefficients = None if not medium else {
-        "extinction": medium.extinction, "emission": medium.emission,
+        "varying": medium.varying is not None, "extinction": medium.extinction, "emission": medium.emission,
         "phases": [[each.scattering, each.anisotropy] for each in medium.phases]}
     return {"text": report.text(), "transparency": getattr(data, "has_transparency", None), "medium": coefficients}
 
@@ -206,7 +206,7 @@ def test_media_are_read(found: dict) -> None:
 
 
 def test_what_is_approximated_is_named(found: dict) -> None:
-    """Name other phase functions, trees that vary and shaders of surfaces."""
+    """Name other phase functions and shaders of surfaces; trees that vary have programs and an estimate of the mean."""
     for name in ("RAYLEIGH", "DRAINE"):
         assert f"phase function {name}" in found[name]["text"] and found[name]["medium"]["phases"][0][1] == 0.0
     g, back = found["FOURNIER_FORAND"]["medium"]["phases"][0][1], np.linspace(-1.0, 0.0, 2001)
@@ -215,5 +215,6 @@ def test_what_is_approximated_is_named(found: dict) -> None:
     first, second = found["MIE"]["medium"]["phases"]
     assert first[1] > 0.99 and 0.3 < second[1] < 0.9
     noise = found["noise"]
-    assert "varies in space" in noise["text"] and noise["medium"]["extinction"] == pytest.approx([0.5] * 3)
+    assert "volume" not in noise["text"] and noise["medium"]["varying"] and not found["scatter"]["medium"]["varying"]
+    assert noise["medium"]["extinction"] == pytest.approx([0.5] * 3)
     assert "does not fill a volume" in found["surface in a volume"]["text"]
