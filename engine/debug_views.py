@@ -55,6 +55,8 @@ DEBUG_VIEWS: dict[str, str] = {
     "composite.indirect": "Indirect light with the surfaces' colours",
     "composite.reflection": "Indirect light that the surfaces reflect, with their colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
+    "fog.light": "Light that fog adds before each pixel's surface",
+    "fog.passing": "Share of light that fog lets through between each pixel's surface and the camera",
     "rest.weight": "Share of the finest detail that comes from path-traced samples, once the picture has been at rest "
                    "for some frames: white is all",
 }

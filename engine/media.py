@@ -12,6 +12,7 @@ import warp as wp
 from ..kernels.media import Media, Medium, Phase
 from ..kernels.types import LIGHT_SUN
 from ..kernels.volume_grids import Volumes
+from .fog import FogData, fog_data
 from .history import copy_struct
 from .program import Program
 from .volume_program import VaryingData
@@ -72,9 +73,9 @@ class SceneMedia:
 
     struct: Media
     frames: Media | None
-    """As real-time frames have them, without the world's; None where no object has any"""
-    open: bool
-    """Whether some is seen by itself: the world's, or within boundaries without a surface. Frames don't draw these"""
+    """As real-time frames have those within surfaces; None where no object has any"""
+    fog: FogData | None
+    """What is seen by itself: the world's, and those within boundaries without a surface; None without any"""
     made_for: tuple
     volumes: Volumes | None = None
     """What varies in space; None: nothing does"""
@@ -93,26 +94,46 @@ def scene_media(source: DeviceScene, images_changed: bool = False) -> SceneMedia
         return None
     bare = np.array([any(key in found and source.materials[key].bare for key in keys)
                      for keys in table.material_sets], bool)
-    seen = bool(world) or bool(bare[table.material_set_index[drawn]].any())
+    walls = drawn & bare[table.material_set_index] if len(drawn) else drawn
     low, high = (bounds[drawn] for bounds in (source.low, source.high))
     # Nothing is between bounds the wrong way round.
     bounds = (tuple(low.min(0)), tuple(high.max(0))) if len(low) else ((1.0,) * 3, (-1.0,) * 3)
     places = {source.material_table.index(key): medium for key, medium in found.items()}
-    made_for = places, world, len(source.material_table.indices)
+    alone = sorted(place for key, place in ((key, source.material_table.index(key)) for key in found)
+                   if source.materials[key].bare)
+    made_for = places, world, len(source.material_table.indices), alone
     before = source.media
     if before is not None and before.made_for == made_for:
-        media, frames = copy_struct(before.struct), before.frames
+        media, frames, fog = copy_struct(before.struct), before.frames, before.fog
     else:
-        media, frames = _upload(places, world or None, len(source.material_table.indices), source.device), None
+        media = _upload(places, world or None, len(source.material_table.indices), source.device)
+        frames = fog = None
     media.low, media.high = (wp.vec3(*bound) for bound in bounds)
     middle, media.reach = light_reach(source, [*found.values(), world])
     media.middle = wp.vec3(*middle)
-    if len(low) and frames is None:
+    kept = len(low) > int(walls.sum())
+    if kept and frames is None:
         frames = copy_struct(media)
         frames.world, frames.low, frames.high = -1, wp.vec3(), wp.vec3()
+        if alone:
+            frames.of_material = without(media.of_material, alone)
     rows = {place: (row, medium) for row, (place, medium) in enumerate(places.items())}
     volumes = source.volumes.update(source, rows, world or None, images_changed)
-    return SceneMedia(media, frames if len(low) else None, seen, made_for, volumes)
+    fogged = bool(world) or bool(walls.any())
+    if fogged:
+        lit = (middle, media.reach) if media.reach > 0.0 else ((0.0, 0.0, 0.0), source.radius)
+        mediums = [medium for place, medium in places.items() if place in alone] + ([world] if world else [])
+        fog = fog_data(
+            media, alone, world or None, source.low[walls], source.high[walls], lit, source.radius, mediums, fog,
+            varies=volumes is not None)
+    return SceneMedia(media, frames if kept else None, fog if fogged else None, made_for, volumes)
+
+
+def without(of_material: wp.array, places: list[int]) -> wp.array:
+    """Return media by material with none for some of the materials."""
+    rows = of_material.numpy()
+    rows[places] = -1
+    return wp.array(rows, dtype=int, device=of_material.device)
 
 
 def light_reach(source: DeviceScene, media: list[MediumData | None]) -> tuple[tuple[float, ...], float]:

@@ -14,6 +14,7 @@ from typing import Any
 import warp as wp
 
 from ..kernels.direct_light import DirectLight
+from ..kernels.fog import Fog
 from ..kernels.gbuffer import GBuffer
 from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
@@ -22,13 +23,16 @@ from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANS
 from .device import device_errors
 from .device_scene import DeviceScene
 from .environment_split import split_environment
+from .fog import fog_struct
 from .frame_graph import FrameGraph
 from .motion import MotionTracker
+from .passes.absent import note_absent
 from .passes.cache_spreading import LightPhase, light_phase
 from .passes.composite import CompositePass
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
 from .passes.direct_light import DirectLightPass, has_lights
+from .passes.fog import FOG, FogPass
 from .passes.gbuffer import GBufferPass, shines_plainly
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.reflection_denoise import ReflectionDenoisePass
@@ -88,8 +92,9 @@ class Pipeline:
         self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
+        self.fog = FogPass(device)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
-                       self.reflections, self.refraction, self.gather, self.rest_gather, self.composite)
+                       self.reflections, self.refraction, self.gather, self.rest_gather, self.composite, self.fog)
         self.passes += (self.reflection_denoise, self.refraction_denoise)
         self._size, self._ready, self._recorded = (width, height), [], []
         self._black: DirectLight | None = None
@@ -195,6 +200,8 @@ class Pipeline:
                  scene.material_table.lean, scene.material_table.reflectors)
         structs = [scene.scene, motion, self.split]
         structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
+        fog = scene.media and scene.media.fog
+        structs += [fog_struct(fog)] if fog is not None else []
         return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
 
     def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
@@ -239,6 +246,16 @@ class Pipeline:
                     self._size[0] * self._size[1], wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h, device=self.device))
         return False
 
+    def _needs_fog(self, graph: FrameGraph, parity: int, scene: DeviceScene) -> Fog | None:
+        """Return the fog that a frame has to draw; None without."""
+        data = scene.media and scene.media.fog
+        self.probes.make_room(data.cells if data is not None else 0)
+        if data is None:
+            self._leave_out(graph, "fog", "there is none", self.fog)
+            return None
+        self._prepare(self.fog)
+        return self.fog.fog_of(data, self.probes.rays_a_frame - data.cells, parity)
+
     def _record_filter(
         self, graph: FrameGraph, parity: int, views: wp.array, surfaces: GBuffer, traced: ReflectionPass,
     ) -> wp.array:
@@ -251,7 +268,7 @@ class Pipeline:
 
     def _record_direct(
         self, graph: FrameGraph, parity: int, phase: LightPhase, scene: DeviceScene, views: wp.array,
-        surfaces: GBuffer,
+        surfaces: GBuffer, fog: Fog | None,
     ) -> DirectLight:
         """Record direct light and its filter."""
         graph.join(REPROJECTION)
@@ -260,31 +277,12 @@ class Pipeline:
             graph, parity, scene.scene, views, surfaces, before, reprojection, self.split,
             filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
             lean_layers=scene.material_table.lean.transparency,
-            shaped=scene.material_table.reflectors.shaped)
+            shaped=scene.material_table.reflectors.shaped, fog=fog)
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
             return self.direct_denoise.record(
                 graph, parity, views, surfaces, before, reprojection, direct,
                 noisy=phase is LightPhase.SWEEPING and scene.local_power > 0.0)
-
-    def _note_absent(self, graph: FrameGraph, scene: DeviceScene, what: RayScene) -> None:
-        """Tell which kernels a frame does without, for the timing panel."""
-        lights, lean = scene.scene.lights, scene.material_table.lean
-        absent = {
-            "alpha layers": ("nothing lets light through unbent", not what.filtered),
-            "lamps in view": ("there are no lamps", lights.lamp_count == 0),
-            "emissive meshes": ("none shines", len(scene.emitters.power) == 0),
-            "light programs": ("no light varies", not scene.emitters.textured),
-            "sun in the world": ("no part of it is bright enough", self.split.share == 0.0),
-            "shadow rays of hits": ("nothing shines", lights.class_count == 0),
-            "chains of mirrors": ("no mirror and no glass", not what.mirrors),
-            "highlights in mirrors": ("nothing glossy is lit", not what.glossy or lights.class_count == 0),
-            "lobes of other shapes": ("all are Lambert's or round", not scene.material_table.reflectors.shaped),
-            "full node machine": ("all materials are plain", lean.surface and lean.flat and lean.transparency),
-        }
-        for name, (reason, is_absent) in absent.items():
-            if is_absent:
-                graph.skip(name, reason)
 
     def _record(
         self, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene, views: wp.array, motion: Motion,
@@ -301,7 +299,7 @@ class Pipeline:
         lean = scene.material_table.lean
         # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
         # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
-        lit = self._needs_direct(graph, scene)
+        lit, fog = self._needs_direct(graph, scene), self._needs_fog(graph, parity, scene)
         with graph.branch(PREPARATION):
             self.cache.record_start(graph, views, phase)
             if lit:
@@ -309,7 +307,7 @@ class Pipeline:
         smallest = smallest_cell(self._settings.cache, scene.radius)
         cache_scene = {
             "minimum_cell": smallest, "threshold": self.split.threshold, "filtered": filtered, "programs": programs,
-            "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels}
+            "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels, "fog": fog}
         self.cache.record_pending(
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
@@ -327,8 +325,8 @@ class Pipeline:
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
             self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy,
-            scene.media and scene.media.frames)
-        self._note_absent(graph, scene, what)
+            scene.media and scene.media.frames, fog)
+        note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()
         for each in traced + gathering:
             with graph.branch(each.name):
@@ -336,11 +334,18 @@ class Pipeline:
                     graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
         with graph.branch(DIRECT):
-            direct = self._record_direct(graph, parity, phase, scene, views, surfaces) if lit else self._black
+            direct = (self._record_direct(graph, parity, phase, scene, views, surfaces, fog) if lit
+                      else self._black)
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
+        if fog is not None:
+            self.fog.record_samples(
+                graph, parity, kernels_scene, views, surfaces, fog, self.split, self.direct.emitters if lit else None,
+                rays, filtered=filtered, textured=scene.emitters.textured, lean_layers=lean.transparency)
         self.cache.record(
             graph, parity, kernels_scene, views, rays, count, gbuffer=surfaces, started=True, after=branches,
             phase=phase, **cache_scene)
+        if fog is not None:
+            self.fog.record_light(graph, parity, kernels_scene, fog, phase)
         graph.join(REPROJECTION)
         shown = {}
         for each in traced:
@@ -364,6 +369,7 @@ class Pipeline:
                 gathered = self.rest_gather.record(
                     graph, parity, views, surfaces, before, reprojection, each.options, each.samples, indirect)
         graph.join(DIRECT, *branches)
+        graph.join(FOG)
         mirrors = None
         if self.reflections in traced and reflectors.sharpest < DISTANCE_ROUGHNESS:
             mirrors = self.reflection_denoise.mirrors(parity, surfaces)
@@ -372,7 +378,8 @@ class Pipeline:
                 graph, parity, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
                 self.reflections.options if self.reflections in traced else None, gathered, mirrors,
-                keeping_matte=bool(traced))
+                keeping_matte=bool(traced),
+                veil=None if fog is None else lambda color: self.fog.record_picture(graph, parity, color))
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

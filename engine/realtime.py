@@ -20,6 +20,8 @@ from ..kernels import film
 from ..kernels.paths import Options
 from .device import launch
 from .device_scene import DeviceScene
+from .media import SceneMedia
+from .passes.composite import LIGHT_PASSES
 from .passes.radiance_cache import smallest_cell
 from .passes.reference import FilmBuffers, ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
@@ -29,7 +31,7 @@ from .scene import CameraData
 from .settings import Integrator, RenderSettings
 from .view_data import ViewTracker
 
-__all__ = ["Realtime", "settings_for"]
+__all__ = ["Realtime", "fog_traced", "settings_for"]
 
 KEYS_REPEAT = 1 << 14
 """Smallest cells that the camera may jump: at twice as many the keys of the cache's flat cells repeat"""
@@ -215,6 +217,16 @@ def settings_for(settings: RenderSettings, camera: CameraData, *, traced: bool =
     if settings.sampling.integrator != Integrator.REALTIME or not (camera.panoramic or traced):
         return settings
     return replace(settings, sampling=replace(settings.sampling, integrator=Integrator.REFERENCE))
+
+
+def fog_traced(media: SceneMedia | None, passes: tuple[str, ...]) -> bool:
+    """Return whether a scene's fog is path-traced in every frame: where it is dense, and with some passes.
+
+    Those of surfaces' light: in frames these know nothing of what is before them.
+    """
+    if media is None or media.fog is None:
+        return False
+    return media.fog.traced or any(name in LIGHT_PASSES for name in passes)
 
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:

@@ -45,7 +45,7 @@ class SceneFacts:
     @property
     def traced(self) -> bool:
         """Whether the scene is path-traced in every frame (Session.configure)."""
-        return self.catchers or self.open_media > 0
+        return self.catchers
 
 
 def scene_facts(
@@ -92,8 +92,7 @@ def realtime_approximations(
         blurred: Whether the picture is a mean over moments; no frames either.
     """
     report = Report()
-    reasons = {"panoramic cameras are": panoramic, "motion blur is": blurred, "shadow catchers are": facts.catchers,
-               "volumes without a surface are": facts.open_media > 0}
+    reasons = {"panoramic cameras are": panoramic, "motion blur is": blurred, "shadow catchers are": facts.catchers}
     what = next((what for what, there in reasons.items() if there), "")
     if what and settings.sampling.integrator == Integrator.REALTIME:
         without = ", without debug views" if settings.debug.view else ""
@@ -120,6 +119,10 @@ def realtime_approximations(
     if facts.media:
         report.add(ReportKind.APPROXIMATED, "",
                    f"volumes in surfaces, but for what they absorb and emit in glass, are left out{until}", facts.media)
+    if facts.open_media:
+        report.add(ReportKind.APPROXIMATED, "",
+                   f"light that fog scatters more than once is coarse{until}; dense fog is path-traced",
+                   facts.open_media)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",

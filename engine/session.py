@@ -31,7 +31,7 @@ from .passes.shadow_catcher import ShadowCatchers
 from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
-from .realtime import Realtime, settings_for
+from .realtime import Realtime, fog_traced, settings_for
 from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
 from .session_stats import SessionStats
@@ -165,8 +165,8 @@ class Session:
         """Set what to render; anything that invalidates the samples forgets them.
 
         Args:
-            settings: All settings; the device must be the session's. Panoramic cameras, shadow catchers and media
-                without a surface know no real-time frames: they get the reference integrator.
+            settings: All settings; the device must be the session's. Panoramic cameras, shadow catchers and some
+                fog know no real-time frames: they get the reference integrator.
             camera: In world space.
             width: Of the full frame [px].
             height: Of the full frame [px].
@@ -181,8 +181,7 @@ class Session:
         if width < 1 or height < 1 or crop[2] < 1 or crop[3] < 1 or crop[2] * crop[3] > MAX_PIXELS:
             raise InvalidScene(f"A picture of {crop[2]} x {crop[3]} pixels can't be rendered; change the resolution.")
         catchers = self._scene.table is not None and self._scene.table.has_catchers
-        fog = self._scene.media is not None and self._scene.media.open
-        settings = settings_for(settings, camera, traced=catchers or fog)
+        settings = settings_for(settings, camera, traced=catchers or fog_traced(self._scene.media, passes))
         change = change_since(settings, self.settings)
         if settings.performance.opacity_maps != self.settings.performance.opacity_maps:
             self._scene.use_opacity_maps(settings.performance.opacity_maps)

@@ -48,6 +48,10 @@ from ..kernels import (
     flat_paths,
     flat_tracing,
     flatten,
+    fog_blend,
+    fog_composite,
+    fog_rays,
+    fog_samples,
     gather_blend,
     gather_further,
     gather_start,
@@ -142,6 +146,7 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
+    fog_blend, fog_composite, fog_rays, fog_samples,
     film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
     cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, opacity_maps, opacity_answers,
     decided_layers, lobe_moments, mesh_islands,

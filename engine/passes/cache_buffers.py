@@ -9,13 +9,17 @@ import warp as wp
 from ...kernels import (
     cache_cells,
     cache_claim,
+    cache_lean,
+    cache_materials,
     cache_programs,
     cache_rays,
     compaction,
     flat_tracing,
+    fog_rays,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
+from ...kernels.fog import Fog
 from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, Scene
@@ -27,8 +31,8 @@ from ..work_list import WorkList
 from .layer_rays import record_shadow_layers
 
 __all__ = [
-    "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_shadow_rays", "record_sums",
-    "threads_race",
+    "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_materials",
+    "record_shadow_rays", "record_sums", "threads_race",
 ]
 
 RAY_ARRAYS = {
@@ -139,6 +143,35 @@ def record_insertion(
     graph.launch(cache_cells.insert_vertices, count, [views, paths, offset], [grid, vertices], banded=False)
 
 
+def record_materials(
+    graph: FrameGraph, scene: Scene, views: wp.array, paths: Paths, vertices: Vertices, world: wp.array, offset: int,
+    count: int, what: list, left: WorkList | None, fog: Fog | None,
+) -> None:
+    """Record what the hits of `count` rays from slot `offset` on are made of, and what fog before them does.
+
+    Args:
+        graph: What to add to.
+        scene: The scene.
+        views: One View.
+        paths: The rays.
+        vertices: Their hits.
+        world: The world's radiance by texels, where it is known (DeviceScene.world_texels).
+        offset: First slot.
+        count: Number of slots.
+        what: `bounce`, `weighed`, `threshold` and `filtered` of evaluate_cache_materials.
+        left: Room for those hits that need the full node machine; None: there are none.
+        fog: None: there is none.
+    """
+    what = [*what, paths]
+    graph.launch(cache_lean.evaluate_cache_lean, count, [views, scene, world, offset, *what], [vertices])
+    if left is not None:
+        graph.fill_list(compaction.append_left_hits, count, [vertices.emission, offset], left)
+        graph.launch_listed(
+            cache_materials.evaluate_cache_materials, [views, scene, *what], left, [vertices], few=True)
+    if fog is not None:
+        graph.launch(fog_rays.dim_cache_rays, count, [views, scene, fog, offset, paths], [vertices])
+
+
 def record_sums(
     graph: FrameGraph, views: wp.array, paths: Paths, vertices: Vertices, grid: HashGrid, offset: int, count: int,
     bounces: int,
@@ -154,6 +187,7 @@ def record_sums(
 def record_shadow_rays(
     graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, under_way: WorkList,
     layered: WorkList, pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
+    fog: Fog | None = None,
 ) -> None:
     """Record tracing hits' shadow rays to the lights chosen for them; what arrives is `paths.radiance`.
 
@@ -170,7 +204,10 @@ def record_shadow_rays(
         filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
         lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
         programs: Whether lights may be programs (DeviceScene.has_hit_programs).
+        fog: What is in their way; None: nothing.
     """
+    if fog is not None:
+        graph.launch(fog_rays.dim_shadow_rays, count, [scene, fog, offset], [paths])
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
     if not filtered or not decides_layers(scene):

@@ -7,7 +7,7 @@ picture and the sums of the light passes. Knows nothing of how the light was fou
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import warp as wp
@@ -102,7 +102,7 @@ class CompositePass:
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
         options: ReflectionOptions | None = None, indirect: wp.array | None = None, mirrors: Mirrors | None = None,
-        keeping_matte: bool = False,
+        keeping_matte: bool = False, veil: Callable[[wp.array], wp.array] | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -123,6 +123,7 @@ class CompositePass:
                 leaning normals take from it.
             mirrors: What tells how long mirrors have shown what they show; None: there are none.
             keeping_matte: Whether `matte` is wanted.
+            veil: Records what is before all surfaces: takes the composite and returns what is seen; None: nothing.
 
         Returns:
             vec4 [h * w]: exposed colour, premultiplied by alpha, as the film shows it; kept for two frames.
@@ -146,10 +147,11 @@ class CompositePass:
         for lobe, sums in self._sums.items():
             graph.launch(
                 composite.accumulate_light_passes, count, [views, gbuffer, lights, int(PASS_LOBES[lobe])], [sums])
+        seen = color if veil is None else veil(color)
         accumulated, before = self.accumulated.current(parity), self.accumulated.previous(parity)
         graph.launch(
             antialias.antialias, count,
-            [views, color.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps,
+            [views, seen.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps,
              mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color

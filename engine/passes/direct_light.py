@@ -15,12 +15,14 @@ from ...kernels import (
     direct_shadow,
     direct_shapes,
     flat_tracing,
+    fog_rays,
     shadow_lights,
 )
 from ...kernels.direct_emitters import EMITTER_WORDS
 from ...kernels.direct_light import DirectLight, PackedLight
 from ...kernels.direct_reservoir import DirectOptions, Reservoirs
 from ...kernels.environment_split import EnvironmentSplit
+from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_types import LOBE_REFLECTION
 from ...kernels.reprojection import Reprojection
@@ -116,6 +118,11 @@ class DirectLightPass:
         self.queue = make_queue(self.slots if filtered or programs else 1, self.device)
         self.layered = make_work_list(self.slots if filtered else 1, self.device)
 
+    @property
+    def emitters(self) -> wp.array:
+        """Return the packed emissive triangles (record_emitters)."""
+        return self._emitters
+
     def reset(self) -> None:
         """Forget all history."""
         self.reservoirs.reset()
@@ -132,7 +139,7 @@ class DirectLightPass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
-        textured: bool, local_power: float, lean_layers: bool = False, shaped: bool = False,
+        textured: bool, local_power: float, lean_layers: bool = False, shaped: bool = False, fog: Fog | None = None,
     ) -> DirectLight:
         """Add the launches of a frame of one parity; return its light, valid until the next frame.
 
@@ -150,6 +157,7 @@ class DirectLightPass:
             local_power: Power of all lamps with a place and all emissive triangles [W], as the light tree was given.
             lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
             shaped: Whether there are materials that direct_shapes.py has to ask (Reflectors.shaped).
+            fog: What is between surfaces and lights; None: nothing.
         """
         self._views = views
         with graph.section("Direct light"):
@@ -162,11 +170,13 @@ class DirectLightPass:
                 for array in arrays_of(self.reservoirs.current(parity)):
                     graph.clear(array)
                 return self.light
-            self._make_rays(filtered=filtered, programs=textured)
+            self._make_rays(filtered=filtered, programs=textured or fog is not None)
             options = self._options(light_count(scene, split, local_power))
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
+            if fog is not None:
+                graph.launch(fog_rays.dim_shadow_rays, self.slots, [scene, fog, 0], [self.rays])
             if not filtered or not decides_layers(scene):
                 trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
                 graph.launch(trace, self.slots, [scene], [self.rays])

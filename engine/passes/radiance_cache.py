@@ -16,14 +16,12 @@ from ...kernels import (
     cache_cells,
     cache_claim,
     cache_debug,
-    cache_lean,
     cache_lights,
-    cache_materials,
     cache_rays,
     cache_shade,
-    compaction,
 )
 from ...kernels.environment_split import NO_THRESHOLD
+from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import NO_CELL, HashGrid
 from ...kernels.probe_rays import ProbeRays
@@ -40,6 +38,7 @@ from .cache_buffers import (
     make_grid,
     make_rays,
     record_insertion,
+    record_materials,
     record_shadow_rays,
     record_sums,
     threads_race,
@@ -155,7 +154,7 @@ class RadianceCachePass:
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
         world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
-        phase: LightPhase = LightPhase.SWEEPING,
+        phase: LightPhase = LightPhase.SWEEPING, fog: Fog | None = None,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -177,8 +176,9 @@ class RadianceCachePass:
             started: Whether record_start has been called, as it must be before anything makes cells.
             after: Branches of the graph that add cells and samples.
             phase: How far light has spread in these frames.
+            fog: What is along the rays; None: nothing.
         """
-        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
+        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
         total = count + self.most_bounces
@@ -211,10 +211,10 @@ class RadianceCachePass:
 
     def _take(
         self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
-        world: wp.array | None,
+        world: wp.array | None, fog: Fog | None,
     ) -> None:
         """Take in what a record needs to know, and allocate for it."""
-        self._all_lean, self._lean_layers = all_lean, lean_layers
+        self._all_lean, self._lean_layers, self._fog = all_lean, lean_layers, fog
         self._world = self._zeros(1, wp.vec3) if world is None else world
         self.grid.minimum = minimum_cell
         self._fit(count, filtered)
@@ -222,14 +222,14 @@ class RadianceCachePass:
     def record_pending(
         self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, minimum_cell: float,
         threshold: float, filtered: bool, programs: bool, all_lean: bool, lean_layers: bool, world: wp.array,
-        after: str,
+        after: str, fog: Fog | None = None,
     ) -> None:
         """Record following the bounce rays of the frame before, in settled frames: they are not waited for in theirs.
 
         Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; `record`
         goes on with it: their light is for the next frame. Other arguments as of `record`.
         """
-        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world)
+        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog)
         if self.bounces == 0 or not self.is_settled(phase):
             return
         with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.most_bounces):
@@ -274,15 +274,12 @@ class RadianceCachePass:
     ) -> None:
         """Record what the hits of `count` rays from slot `offset` on are made of."""
         with graph.section("Cache materials"):
-            what = [int(offset > 0), self.grid.weighed, threshold, int(self._layers), self.paths]
-            graph.launch(
-                cache_lean.evaluate_cache_lean, count, [views, scene, self._world, offset, *what], [self.vertices])
+            left = None
             if not self._all_lean or (scene.environment.constant == 0 and len(self._world) == 1):
                 left = self.left.part(offset, count)
-                graph.fill_list(compaction.append_left_hits, count, [self.vertices.emission, offset], left)
-                graph.launch_listed(
-                    cache_materials.evaluate_cache_materials, [views, scene, *what], left, [self.vertices],
-                    few=True)
+            record_materials(
+                graph, scene, views, self.paths, self.vertices, self._world, offset, count,
+                [int(offset > 0), self.grid.weighed, threshold, int(self._layers)], left, self._fog)
 
     def _record_insertion(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
         """Record finding or making the cells of the hits of `count` rays from slot `offset` on."""
@@ -338,7 +335,7 @@ class RadianceCachePass:
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
                 graph, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
-                filtered=self._layers, lean_layers=self._lean_layers, programs=programs)
+                filtered=self._layers, lean_layers=self._lean_layers, programs=programs, fog=self._fog)
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,

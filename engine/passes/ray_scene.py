@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ...kernels.environment_split import EnvironmentSplit
+from ...kernels.fog import Fog
 from ...kernels.media import Media
 from ...kernels.motion import Motion
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions
@@ -49,6 +50,8 @@ class RayScene:
 
     media: Media | None = None
     """What fills its objects (SceneMedia.frames); None: nothing"""
+    fog: Fog | None = None
+    """None: there is none"""
 
     @property
     def needs_full(self) -> bool:

@@ -15,6 +15,7 @@ from ...kernels import (
     compaction,
     decided_layers,
     flat_tracing,
+    fog_rays,
     gather_further,
     gather_start,
     reflection_chain,
@@ -174,7 +175,7 @@ class ReflectionPass:
         """
         lit = what.scene.lights.class_count > 0 and self.settings.hit_lighting
         self._fit(what.filtered, what.glossy and lit and self.lobe != int(LOBE_DIFFUSE))
-        self._gbuffer[parity], self._grid = gbuffer, grid
+        self._gbuffer[parity], self._grid, self._views = gbuffer, grid, views
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays
         with graph.section(self._section("rays")):
@@ -187,6 +188,8 @@ class ReflectionPass:
         segments = 1 + (self.settings.bounces if follows.get(self.lobe, what.mirrors) else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
         waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
+        if what.fog is not None:
+            waves = segments
         self._media = None
         if what.media is not None and self.lobe != int(LOBE_DIFFUSE):
             # So do media, and segments that are for glass alone.
@@ -246,6 +249,9 @@ class ReflectionPass:
             arguments = [self.reflection, last]
             if self._media is not None:
                 self._media.record_dimming(graph, paths, vertices, work)
+            if what.fog is not None:
+                graph.launch_listed(
+                    fog_rays.dim_fog_segments, [self._views, scene, what.fog, index], work, [paths, vertices])
             graph.launch_listed(
                 reflection_lean.follow_lean, [scene, what.split, what.world, *arguments], work,
                 [rays, paths, vertices])
@@ -315,7 +321,7 @@ class ReflectionPass:
         with graph.section(self._section("shadow rays")):
             record_shadow_rays(
                 graph, scene, paths, 0, blocks, self.queue, self.lit, self.layered, self.left, filtered=what.filtered,
-                lean_layers=what.lean_layers, programs=what.programs)
+                lean_layers=what.lean_layers, programs=what.programs, fog=what.fog)
 
     @property
     def asks_probes(self) -> bool:

@@ -108,6 +108,8 @@ class ScreenProbePass:
         self.tiles = self._allocate(ProbeTiles, TILES, self.tile_count)
         self.updates = self._allocate(ProbeUpdates, UPDATES, self.update_count)
         self.rays = self._allocate(ProbeRays, RAYS, self.update_count)
+        self.guests = 0
+        """Slots for rays of others, after the probes' own: the radiance cache answers all at once"""
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
         self.specular_ratio = wp.zeros(width * height, dtype=wp.float16, device=self.device)
         """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w])"""
@@ -129,7 +131,13 @@ class ScreenProbePass:
     @property
     def rays_a_frame(self) -> int:
         """Slots of rays in a frame."""
-        return self.update_count * CELLS
+        return self.update_count * CELLS + self.guests
+
+    def make_room(self, guests: int) -> None:
+        """Have slots for so many rays of others."""
+        if guests != self.guests:
+            self.guests = guests
+            self.rays = self._allocate(ProbeRays, RAYS, self.update_count + -(-guests // CELLS))
 
     def reset(self) -> None:
         """Forget all probes."""
@@ -159,14 +167,14 @@ class ScreenProbePass:
             graph.launch(spawn.list_empty, self.tile_count, [], [tiles], banded=False)
             graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
                          [updates])
-        count, lanes = self.rays_a_frame, graph.lanes
+        count, lanes = self.update_count * CELLS, graph.lanes
         with graph.section("Probe rays"):
             graph.launch(probe_gather.gather_history, count, [grid, views, tiles, pool, self.cosines], [updates])
             graph.launch(probe_gather.count_history, lanes * self.update_count,
                          [grid, views, tiles, pool, lanes], [updates])
             graph.launch(probe_place.commit_updates, self.update_count, [views, updates], [pool, tiles], banded=False)
             graph.launch(probe_sample.make_rays, count, [grid, views, gbuffer, pool], [updates, self.rays])
-        return self.rays, count
+        return self.rays, count + self.guests
 
     def record_light(
         self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer,

@@ -242,9 +242,10 @@ assert "diffuse light" not in text and "Real-time frame" not in text, text
 
 
 def test_fog_comes_and_goes(run_viewport):
-    """Say samples as soon as the world has a medium, and frames without it, when nothing else changes."""
+    """Say what frames approximate as soon as the world has a medium, and no more without it: nothing else changes."""
     run_viewport("""
 import dataclasses
+from burnish.addon import report
 from burnish.engine.media import MediumData
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import SceneDelta, WorldData
@@ -259,12 +260,14 @@ engine, context = FakeEngine(), make_context()
 sampling = context.scene.burnish.sampling
 sampling.integrator, sampling.viewport_samples = 'REALTIME', 5
 viewport.view_update(engine, context, depsgraph)
-for world, word in ((clear, "Frame"), (foggy, "Sample"), (clear, "Frame")):
+for world in (clear, foggy, clear):
     FakeExtractor.world = world
     FakeExtractor.extract = lambda self, *args, **named: SceneDelta(world=world)
     viewport.view_update(engine, context, depsgraph)
     viewport.view_draw(engine, context, depsgraph)
-    until(lambda: engine.viewport._worker.status.text == f"{word} 5/5")
+    until(lambda: engine.viewport._worker.status.text == "Frame 5/5")
+    viewport._tick()
+    assert ("fog scatters" in report.published_text()) == (world is foggy), report.published_text()
 """)
 
 

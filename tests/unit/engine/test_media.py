@@ -351,18 +351,6 @@ def test_other_frames_launch_nothing_for_media():
     assert not kernels & {kernel for _, kernel in expected}
 
 
-def test_fog_is_path_traced_in_every_frame():
-    """Let path tracing take the place of frames while the world has a medium, or a mesh has one and no surface."""
-    plain = boxes(scenes.transparent(1.0), background=0.7)
-    foggy = dataclasses.replace(plain, world=dataclasses.replace(plain.world, medium=absorber(0.1, 0.1, 0.1)))
-    bare = boxes(dataclasses.replace(filled(absorber(0.0, 0.2, 2.0)), bare=True), background=0.7)
-    assert frames_of(plain, 1).settings.sampling.integrator == Integrator.REALTIME
-    for delta in (foggy, bare):
-        session = frames_of(delta, 4)
-        assert session.settings.sampling.integrator == Integrator.REFERENCE
-        assert session.read()[..., 2].mean() < 0.6
-
-
 def test_media_follow_moved_objects():
     """Find the camera in a body that has been moved about it, and not where the body was."""
     delta = boxes(absorber(0.5, 0.5, 0.5), distance=0.0)

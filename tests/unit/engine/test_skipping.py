@@ -189,11 +189,12 @@ def test_what_a_scene_lacks_has_no_buffers():
     """Give buffers to passes that the scene needs alone."""
     pipeline = open_session(room(lights=()))._realtime.pipeline
     idle = (pipeline.reflections, pipeline.reflection_denoise, pipeline.refraction, pipeline.refraction_denoise,
-            pipeline.direct, pipeline.direct_denoise)
+            pipeline.direct, pipeline.direct_denoise, pipeline.fog)
     assert [each.width for each in idle] == [0] * len(idle)
     assert pipeline.gbuffer.width == SIZE[0] and pipeline.gather.width == SIZE[0]
     pipeline = open_session(room(glass(0.0)))._realtime.pipeline
-    assert all(each.width == SIZE[0] for each in pipeline.passes)
+    assert all(each.width == SIZE[0] for each in pipeline.passes if each is not pipeline.fog)
+    assert pipeline.fog.width == 0
 
 
 def test_only_materials_on_something_count():
