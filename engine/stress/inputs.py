@@ -16,9 +16,21 @@ import numpy as np
 
 from ..closure_arguments import ARGUMENTS
 from ..errors import BurnishError
+from ..media import MediumData
 from ..program import ProgramBuilder
-from ..scene import CameraData, ColorEncoding, ImageData, InstanceTable, LightData, MeshData, WorldData
+from ..scene import (
+    CameraData,
+    ColorEncoding,
+    ImageData,
+    InstanceTable,
+    LightData,
+    MaterialData,
+    MeshData,
+    WorldData,
+)
 from ..settings import Integrator
+from ..volume_data import VolumeData
+from ..volume_program import FieldData, VaryingData, VolumeBuilder
 from .cases import BOTH, Case, Trial, luminance
 from .scenes import (
     EYE,
@@ -102,6 +114,10 @@ def break_mesh(name: str, values: list[Any]) -> StressScene:
         if name == "generated":
             mesh.generated = (np.full(3, values[i], np.float32), np.full(3, values[i], np.float32))
             return
+        if name == "volume":
+            scene.delta.materials[f"thing {i}"] = cloud_of_grids()
+            mesh.volume = broken_grids(values[i])
+            return
         array = {"uv_maps": mesh.uv_maps.get("UVMap"), "attributes": mesh.attributes["Col"]}.get(
             name, getattr(mesh, name))
         flat = array.reshape(-1)
@@ -109,6 +125,27 @@ def break_mesh(name: str, values: list[Any]) -> StressScene:
             flat[len(flat) // 3:len(flat) // 2] = values[i]
 
     return gallery(edit, len(values))
+
+
+def cloud_of_grids() -> MaterialData:
+    """Return a material without a surface whose volume shines and scatters as the grid density says."""
+    builder = VolumeBuilder(optional=True)
+    density = builder.compiled(builder.optional_grid("density"))
+    part = FieldData((1.0, 0.5, 0.2), density)
+    medium = MediumData(extinction=(1.0, 1.0, 1.0), in_grids=VaryingData(part, part, ((part, FieldData()),)))
+    clear = ProgramBuilder()
+    clear.transparent((1.0, 1.0, 1.0), 1.0)
+    return MaterialData(name="cloud", program=clear.finish(), has_transparency=True, bare=True, medium=medium)
+
+
+def broken_grids(value: float) -> VolumeData:
+    """Return the grids of a box of side 2 with a value in some of their cells."""
+    grid = np.ones((4, 4, 4, 4), np.float32)
+    with np.errstate(over="ignore"):
+        grid[1, 1:3] = value
+    to_object = np.diag([0.5, 0.5, 0.5, 1.0])
+    to_object[:3, 3] = -1.0
+    return VolumeData(grids={"density": grid}, to_object=to_object, cells=(4, 4, 4), scaled=True)
 
 
 def break_instance(name: str, values: list[Any]) -> StressScene:

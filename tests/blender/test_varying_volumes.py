@@ -12,7 +12,8 @@ import pytest
 pytestmark = pytest.mark.slow
 
 CODE = r'''
-from burnish.addon.extract.volume_object import openvdb
+import types
+from burnish.addon.extract.volume_object import openvdb, read_domain
 
 SIDE = 32
 
@@ -124,8 +125,27 @@ def build(kind):
         group.links.new(painted.outputs[0], group.nodes.new("NodeGroupOutput").inputs[0])
     return scene
 
+class Values(list):
+    """As RNA has arrays of floats."""
+
+    def foreach_get(self, out):
+        out[:] = self
+
+def domain():
+    """Return the lattice and some values of a domain of 2 x 3 x 4 cells, all but heat twice as fine."""
+    count = 4 * 6 * 8
+    settings = types.SimpleNamespace(
+        domain_resolution=(2, 3, 4), use_noise=True, noise_scale=2, density_grid=Values(range(count)),
+        color_grid=Values([0.2, 0.1, 0.4, 0.5] * count), flame_grid=Values(), temperature_grid=Values(),
+        heat_grid=Values(range(24)))
+    mesh = types.SimpleNamespace(texspace_location=(1.0, 0.0, 0.0), texspace_size=(2.0, 3.0, 4.0))
+    volume, _ = read_domain(settings, mesh)
+    return {"first": (volume.to_object @ (0.5, 0.5, 0.5, 1.0))[:3].tolist(), "names": sorted(volume.grids),
+            "density": float(volume.grids["density"][1, 2, 3, 0]), "heat": float(volume.grids["heat"][7, 5, 3, 0]),
+            "color": volume.grids["color"][0, 0, 0, :3].tolist(), "cells": volume.cells}
+
 write_grids(f"{FOLDER}/grids.vdb")
-results = {}
+results = {"domain": domain()}
 for kind in sys.argv[3].split(","):
     scene = build(kind)
     mine, said = picture(scene, 'BURNISH', (24, 24), 128)
@@ -150,3 +170,12 @@ def test_volumes_that_vary_are_those_of_cycles(found: dict[str, list], kind: str
     mine, cycles, said, spread = found[kind]
     np.testing.assert_allclose(mine, cycles, rtol=0.01)
     assert not "".join(said) and spread > 0.01
+
+
+def test_smoke_domains_have_their_cells_over_the_texture_space(found: dict[str, Any]) -> None:
+    """Read x first; divide colours by how much smoke there is; spread what has fewer cells over the others."""
+    domain = found["domain"]
+    assert domain["first"] == pytest.approx([-0.5, -2.5, -3.5]) and domain["cells"] == [4, 6, 8]
+    assert domain["names"] == ["color", "density", "heat"]
+    assert domain["density"] == 3 + 4 * (2 + 6 * 1) and domain["heat"] == 23.0
+    assert domain["color"] == pytest.approx([0.4, 0.2, 0.8])

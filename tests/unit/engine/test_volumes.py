@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from burnish.engine.media import MediumData
 from burnish.engine.passes import wavefront
+from burnish.engine.passes.media_light import VOLUME_PASSES
 from burnish.engine.volume_data import VolumeData
 from burnish.engine.volume_program import OPTIONAL_PREFIX, FieldData, FieldSum, VaryingData, VolumeBuilder
 
 from tests import scenes
-from tests.unit.engine.test_media import MEDIA_KERNELS, absorber, boxes, cloud, seen, shot
+from tests.unit.engine.test_media import MEDIA_KERNELS, PASSES, absorber, boxes, cloud, lit_scene, seen, shot
 
 VOLUME_KERNELS = {"march_volumes", "scatter_in_volumes", "weaken_in_volumes"}
 WHITE = (1.0, 1.0, 1.0)
@@ -112,6 +113,26 @@ def test_volume_objects_have_the_density_of_their_grids(scale):
     delta = dataclasses.replace(delta, meshes={"box": mesh}, instances=dataclasses.replace(
         delta.instances, transforms=scenes.place(scale=scale)[None]))
     assert seen(delta, 64) == pytest.approx(np.exp([-0.5, -1.0, -2.0]), rel=0.03)
+
+
+def test_passes_and_light_groups_make_up_the_picture():
+    """Give what media that vary scatter to the passes of volumes, and light to the group of its lamp."""
+    names = ("Combined_key", "Combined_fill")
+    medium = gradient(WHITE, (0.5, 0.4, 0.3), (0.1, 0.2, 0.3))
+    session = shot(lit_scene(medium), 4, 0.8, (*PASSES, *VOLUME_PASSES))
+    total = session.read("Emission") + session.read("Environment")
+    for name in VOLUME_PASSES:
+        assert session.read(name).mean() > 1e-4
+        total = total + session.read(name)
+    for lobe in ("Diffuse", "Glossy", "Transmission"):
+        total = total + session.read(f"{lobe} Color") * (
+            session.read(f"{lobe} Direct") + session.read(f"{lobe} Indirect"))
+    np.testing.assert_allclose(total, session.read()[..., :3], rtol=2e-4, atol=2e-5)
+    clear = gradient(WHITE, (0.5, 0.4, 0.3))
+    grouped = shot(dataclasses.replace(lit_scene(clear), world=scenes.world(0.0)), 4, 0.8, ("Combined", *names))
+    parts = [grouped.read(name)[..., :3] for name in names]
+    assert min(part.max() for part in parts) > 0.0
+    np.testing.assert_allclose(sum(parts), grouped.read()[..., :3], rtol=2e-4, atol=2e-5)
 
 
 def test_terms_share_a_number_or_are_added_up():
