@@ -35,7 +35,6 @@ _MORE_INSTANCES = 64
 _SINGULAR = 1e-6
 
 _NOT_DRAWN = {
-    'CURVES': "hair curves are not drawn in this version",
     'POINTCLOUD': "point clouds are not drawn in this version",
     'GREASEPENCIL': "grease pencil is not drawn",
     'GPENCIL': "grease pencil is not drawn",
@@ -64,7 +63,7 @@ class Source:
     owner: bpy.types.Object
     """Evaluated object that the data belongs to"""
     data: bpy.types.ID
-    """Evaluated mesh, volume or lamp"""
+    """Evaluated mesh, hair curves, volume or lamp"""
     uid: int
     """session_uid of the original object"""
     name: str
@@ -241,7 +240,7 @@ class _Walk:
         return len(self.gathered.placements) - 1
 
     def _is_drawn(self, item: bpy.types.Object) -> bool:
-        if isinstance(item.data, (bpy.types.Mesh, bpy.types.Light)):
+        if isinstance(item.data, (bpy.types.Mesh, bpy.types.Curves, bpy.types.Light)):
             return True
         if isinstance(item.data, bpy.types.Volume):
             if any(self._material_set(item)):
@@ -281,7 +280,7 @@ class _Walk:
         if found is not None:
             return found
         sources = self.gathered.sources
-        is_mesh = isinstance(item.data, (bpy.types.Mesh, bpy.types.Volume))
+        is_mesh = isinstance(item.data, (bpy.types.Mesh, bpy.types.Curves, bpy.types.Volume))
         sources.append(Source(
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,

@@ -20,6 +20,7 @@ from ...engine.report import Report
 from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
+from .hair import extract_curves
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
@@ -281,6 +282,8 @@ class SceneExtractor:
         owner, slot_count = f"object '{source.name}'", len(source.material_set)
         if source.volume is not None:
             return extract_volume(source.owner, source.data, source.name, mesh_report)
+        if isinstance(source.data, bpy.types.Curves):
+            return extract_curves(source.data, owner, mesh_report)
         if not source.data.is_editmode:
             return extract_mesh(source.data, owner, slot_count, mesh_report, self._derived[key])
         # In edit mode the evaluated mesh has no arrays of its own.
@@ -289,9 +292,8 @@ class SceneExtractor:
         finally:
             source.owner.to_mesh_clear()
 
-    def _extract_lights(
-        self, gathered: Gathered, changes: Changes, images: ImageCollector,
-    ) -> dict[int, LightData | None]:
+    def _extract_lights(self, gathered: Gathered, changes: Changes,
+                        images: ImageCollector) -> dict[int, LightData | None]:
         """Read all lamps; returns them by their numbers among the instances, None for what can't light anything."""
         lamps = {}
         if changes.everything or changes.images:

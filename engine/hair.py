@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hair strands as meshes: tubes around Catmull-Rom curves, all strands at once.
+
+A tube of four sides whose corners lay on the strand's circle would cover less of the picture than the strand. A convex
+outline's mean width is its perimeter over pi (Cauchy), so the corners move out until that is the strand's diameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["SIDES", "Strands", "Tubes", "fit_to_limit", "make_tubes"]
+
+SIDES = 4
+"""Of each tube"""
+_WIDER = np.pi / (SIDES * np.sin(np.pi / SIDES))
+
+
+@dataclass(eq=False)
+class Strands:
+    """C strands of K points in all."""
+
+    points: np.ndarray
+    """float32 [K, 3]"""
+    radii: np.ndarray
+    """float32 [K], in the points' unit"""
+    counts: np.ndarray
+    """int64 [C], points of each strand, of which those with fewer than two are not drawn"""
+
+
+@dataclass(eq=False)
+class Tubes:
+    """V vertices and T triangles around strands."""
+
+    positions: np.ndarray
+    """float32 [V, 3]"""
+    triangles: np.ndarray
+    """int32 [T, 3]"""
+    normals: np.ndarray
+    """float32 [V, 3], unit, away from the strand"""
+    strand: np.ndarray
+    """int64 [V], strand of each vertex"""
+    point: np.ndarray
+    """int64 [V], point of the strands at or before each vertex"""
+    fraction: np.ndarray
+    """float32 [V], how far each vertex is on the way to the next point"""
+
+    def of_points(self, values: np.ndarray) -> np.ndarray:
+        """Return [V, ...], the [K, ...] `values` of points at each vertex, linear between points."""
+        following = np.minimum(self.point + 1, len(values) - 1)
+        weight = self.fraction.reshape(-1, *([1] * (values.ndim - 1)))
+        return (values[self.point] * (1 - weight) + values[following] * weight).astype(np.float32)
+
+
+def fit_to_limit(counts: np.ndarray, steps: int, limit: int) -> tuple[int, int]:
+    """Return how many steps to take between points and to draw every how many-th strand, for `limit` triangles.
+
+    Args:
+        counts: int64 [C], points of each strand.
+        steps: Wanted pieces between two points.
+        limit: Most triangles.
+    """
+    segments = int(np.maximum(counts - 1, 0).sum())
+    while steps > 1 and segments * steps * 2 * SIDES > limit:
+        steps //= 2
+    return steps, max(1, -(-segments * steps * 2 * SIDES // limit))
+
+
+def make_tubes(strands: Strands, steps: int) -> Tubes:
+    """Return tubes around `strands`, `steps` pieces between two points."""
+    counts = np.where(strands.counts > 1, strands.counts, 0)
+    firsts = np.cumsum(strands.counts) - strands.counts
+    fine = np.where(counts > 0, (counts - 1) * steps + 1, 0)
+    fine_firsts = np.cumsum(fine) - fine
+    strand = np.repeat(np.arange(len(fine)), fine)
+    along = np.arange(len(strand)) - fine_firsts[strand]
+    first, last = firsts[strand], firsts[strand] + counts[strand] - 1
+    point = first + along // steps
+    fraction = ((along % steps) / steps).astype(np.float32)
+    neighbours = [np.clip(point + offset, first, last) for offset in (-1, 0, 1, 2)]
+    centres, tangents = _catmull_rom([strands.points[index] for index in neighbours], fraction[:, None])
+    radii, _ = _catmull_rom([strands.radii[index] for index in neighbours], fraction)
+    side = _carried_normals(_unit(tangents), fine, fine_firsts)
+    other = np.cross(_unit(tangents), side)
+    angles = np.arange(SIDES) * (2 * np.pi / SIDES)
+    normals = side[:, None] * np.cos(angles)[:, None] + other[:, None] * np.sin(angles)[:, None]
+    positions = centres[:, None] + normals * (np.maximum(radii, 0) * _WIDER)[:, None, None]
+    return Tubes(
+        positions=positions.reshape(-1, 3).astype(np.float32), triangles=_triangles(along, fine[strand]),
+        normals=normals.reshape(-1, 3).astype(np.float32), strand=np.repeat(strand, SIDES),
+        point=np.repeat(point, SIDES), fraction=np.repeat(fraction, SIDES))
+
+
+def _catmull_rom(values: list[np.ndarray], t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return value and derivative between the second and third of four `values` (Catmull and Rom 1974)."""
+    a, b, c, d = values
+    linear, square, cube = c - a, 2 * a - 5 * b + 4 * c - d, 3 * (b - c) + d - a
+    return b + 0.5 * t * (linear + t * (square + t * cube)), 0.5 * (linear + t * (2 * square + 3 * t * cube))
+
+
+def _carried_normals(tangents: np.ndarray, counts: np.ndarray, firsts: np.ndarray) -> np.ndarray:
+    """Return [F, 3] unit vectors across `tangents` that turn as little as may be along each strand."""
+    normals = np.zeros_like(tangents)
+    alive = np.flatnonzero(counts)
+    least = np.eye(3, dtype=tangents.dtype)[np.abs(tangents[firsts[alive]]).argmin(1)]
+    carried = np.zeros((len(counts), 3), tangents.dtype)
+    carried[alive] = least
+    for step in range(int(counts.max(initial=0))):
+        alive = alive[counts[alive] > step]
+        here = firsts[alive] + step
+        across = carried[alive] - tangents[here] * (carried[alive] * tangents[here]).sum(1, keepdims=True)
+        carried[alive] = normals[here] = _unit(across)
+    return normals
+
+
+def _triangles(along: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return int32 [T, 3] between each ring of vertices and the next one of its strand."""
+    ring = np.flatnonzero(along < counts - 1)[:, None] * SIDES
+    corner = np.arange(SIDES)
+    a, b = ring + corner, ring + (corner + 1) % SIDES
+    quads = np.stack([a, b, b + SIDES, a, b + SIDES, a + SIDES], axis=-1)
+    return quads.reshape(-1, 3).astype(np.int32)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(lengths > 1e-20, vectors / np.maximum(lengths, 1e-20), np.array([0, 0, 1], vectors.dtype))
