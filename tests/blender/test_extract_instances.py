@@ -223,6 +223,6 @@ finish(names=names(delta.instances), triangles=len(mesh.triangles), low=mesh.pos
        told=[entry.message for entry in report.entries()])
 ''')
     assert result["names"] == ["Hair"] and not result["told"]
-    assert result["triangles"] == (2 + 1) * 4 * 8
-    assert 0.1 < -result["low"][0] < 0.12 and 5.2 < result["high"][0] < 5.23 and abs(result["high"][2] - 2) < 1e-5
+    assert result["triangles"] == (2 + 1) * 4 * 12
+    assert 0.09 < -result["low"][0] < 0.105 and 5.18 < result["high"][0] < 5.21 and abs(result["high"][2] - 2) < 1e-5
     assert result["uv"] == [[0.25, 0.5], [0.75, 1.0]] and result["error"] < 0.075
