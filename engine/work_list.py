@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ..kernels.list_order import EACH_ONE
+
 __all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "make_queue", "make_work_list", "one_number"]
 
 LISTED_THREADS = 1 << 18
@@ -22,7 +24,7 @@ FEW_THREADS = 1 << 16
 """The same for lists that are mostly short, for kernels whose threads take a new element as soon as they are done with
 one, and for the full node machine: as many as a large GPU has at work at a time, or some more"""
 
-ONCE = 1 << 30
+ONCE = int(EACH_ONE)
 """Number of threads to tell where each has one element"""
 
 

@@ -12,7 +12,7 @@ import warp as wp
 __all__ = ["first_dealt"]
 
 WARP = wp.constant(32)
-# Numbers of threads from which on each has one element (engine.work_list.ONCE): the processor's, which has no warps.
+# Number of threads to tell where each has one element, as on the processor, which has no warps.
 EACH_ONE = wp.constant(1 << 30)
 
 

@@ -15,7 +15,7 @@ from .intersect import triangle_material
 from .lamp_hit import FAR
 from .paths import Paths
 from .subsurface import phase
-from .types import Scene
+from .types import Scene, ShadingPoint
 from .wide_loads import load_corner, load_instance
 
 STACK_SIZE = wp.constant(4)
@@ -150,6 +150,17 @@ def cross(inside: Inside, instance: int, medium: int, leaving: bool) -> Inside:
             out.media[i] = medium
             out.objects[i] = instance
     return out
+
+
+@wp.func
+def past_layer(
+    scene: Scene, media: Media, inside: Inside, instance: int, point: ShadingPoint, kind: int,
+) -> Inside:
+    """Return what a ray of a kind (VISIBLE_*) is in behind a layer that it passes."""
+    medium = media.of_material[point.material]
+    if medium != NO_MEDIUM and (scene.geometry.instances[instance].visibility & kind) != 0:
+        return cross(inside, instance, medium, point.backfacing == 1)
+    return inside
 
 
 @wp.func

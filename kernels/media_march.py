@@ -11,16 +11,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter import MAX_LAYERS, layer_point, layer_transparency, pass_chance, step_past
-from .geometry_math import is_finite3, max_component, mean_component, power_heuristic
+from .filter import MAX_LAYERS, step_past
+from .geometry_math import max_component, mean_component
 from .intersect import MISS, Hit, closest_hit, closest_layer, surface_point
 from .lamp_hit import FAR
-from .lamp_tables import meet_lamp
-from .layers import LAYER_STREAM
-from .light_groups import GroupLight, GroupTables, add_to_group, forget_groups
-from .light_linking import lamp_counts, met_by_rays
+from .light_groups import GroupLight, GroupTables, forget_groups
 from .light_tree import choose_by_tree
-from .lights import lamp_chance
 from .media import (
     NO_MEDIUM,
     STACK_SIZE,
@@ -31,18 +27,27 @@ from .media import (
     cross,
     emitted,
     load_inside,
-    medium_at,
     mixture_of,
     nowhere,
     passing,
     place_in,
     store_inside,
 )
-from .media_distance import Pull, pull_of, walk_stretch
+from .media_distance import Passage, Pull, pull_of, walk_stretch
+from .media_steps import (
+    add_lamp,
+    add_met,
+    arrive,
+    end_scattered,
+    lamp_between,
+    meet_layer,
+    reach_before,
+    stop_in_medium,
+)
 from .packing import rgb
-from .paths import ENDED, Options, Paths, add_light, clamp_light, limit_at, load_hit, store_hit
-from .sampling import hash_combine, sample_number, sample_pair
-from .types import LIGHT_HITTABLE, Scene
+from .paths import ENDED, Options, Paths, add_light, limit_at, load_hit
+from .sampling import hash_combine, sample_pair
+from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -112,32 +117,11 @@ def gather_lamps_between(
     throughput: wp.vec3, start: float, end: float,
 ):
     """Add the lamps that the ray meets on a stretch; `throughput` is that at its begin."""
-    origin = paths.origin[path]
-    direction = paths.direction[path]
-    bounce = paths.state[path]
-    pdf = paths.pdf[path]
     for i in range(scene.lights.lamp_count):
-        flags = scene.lights.lamps[i].flags
-        visibility = scene.lights.lamps[i].visibility
-        if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0:
-            hit = meet_lamp(scene.lights, i, origin, direction, end)
-            counts = lamp_counts(scene, visibility, bounce, paths, path) and met_by_rays(scene, visibility, pdf)
-            if hit.t > 0.0 and hit.t >= start and counts:
-                weight = float(1.0)
-                if pdf > 0.0:
-                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
-                arriving = wp.cw_mul(throughput, passing(mixture.extinction, hit.t - start))
-                light = wp.cw_mul(arriving, hit.radiance) * weight
-                add_light(paths, path, light, limit_at(options, bounce))
-                if groups.known.shape[0] > 0:
-                    add_met(options, groups, tables.lamps[i], paths, path, light)
-
-
-@wp.func
-def add_met(options: Options, groups: GroupLight, group: int, paths: Paths, path: int, light: wp.vec3):
-    """Add to a path's light of a group what it has met and add_light has added."""
-    if is_finite3(light):
-        add_to_group(groups, group, path, clamp_light(light, limit_at(options, paths.state[path])))
+        met = lamp_between(scene, i, paths, path, start, end)
+        if met.t > 0.0:
+            arriving = wp.cw_mul(throughput, passing(mixture.extinction, met.t - start))
+            add_lamp(options, tables, groups, paths, path, i, wp.cw_mul(arriving, met.radiance) * met.weight)
 
 
 @wp.func
@@ -186,6 +170,35 @@ def pull_on(
 
 
 @wp.func
+def pass_stretch(
+    scene: Scene, options: Options, media: Media, inside: Inside, tables: GroupTables, groups: GroupLight,
+    paths: Paths, path: int, throughput: wp.vec3, start: float, stretch: float, layer: int, seed: wp.uint32,
+) -> Passage:
+    """Take a path along a stretch of media that are the same everywhere, with the light that comes from it.
+
+    The distance is from the ray's origin.
+    """
+    mixture = mixture_of(media, inside)
+    out = Passage()
+    out.weight = wp.vec3(1.0, 1.0, 1.0)
+    if scene.lights.lamp_count > 0:
+        gather_lamps_between(
+            scene, options, tables, groups, paths, path, mixture, throughput, start, start + stretch)
+    if max_component(mixture.emission) > 0.0:
+        gather_glow(options, media, inside, tables, groups, paths, path, mixture, throughput, stretch)
+    if max_component(mixture.extinction) > 0.0:
+        pull = Pull()
+        if paths.state[path] <= PULLED_BOUNCES:
+            pull = pull_on(
+                scene, mixture, paths.origin[path] + paths.direction[path] * start, paths.direction[path], stretch,
+                sample_pair(seed, paths.index[path], 2 * layer))
+        out = walk_stretch(
+            mixture, throughput, stretch, pull, sample_pair(seed, paths.index[path], 2 * layer + 1))
+        out.t = out.t + start
+    return out
+
+
+@wp.func
 def march(
     scene: Scene, options: Options, media: Media, tables: GroupTables, groups: GroupLight, kept: MediaPaths,
     paths: Paths, path: int,
@@ -196,18 +209,10 @@ def march(
     """
     origin = paths.origin[path]
     direction = paths.direction[path]
-    bounce = paths.state[path]
-    kind = paths.kind[path]
-    seed = hash_combine(paths.seed[path], wp.uint32(bounce + LAYER_STREAM))
-    media_seed = hash_combine(paths.seed[path], wp.uint32(bounce + MEDIA_STREAM))
-    index = paths.index[path]
+    media_seed = hash_combine(paths.seed[path], wp.uint32(paths.state[path] + MEDIA_STREAM))
     opaque = load_hit(paths, path)
-    end = float(FAR)
-    # A boundary in the very place of an opaque surface, as of a fog that stands on a floor, lies behind that.
-    reach = opaque.t
-    if opaque.instance != MISS:
-        end = opaque.t
-        reach = 3.0 * opaque.t - 2.0 * step_past(surface_point(scene, opaque, direction), direction, opaque.t)
+    end = wp.where(opaque.instance != MISS, opaque.t, FAR)
+    reach = reach_before(scene, opaque, direction)
     inside = load_inside(kept, path)
     throughput = paths.throughput[path]
     hit = opaque
@@ -226,52 +231,25 @@ def march(
             if met:
                 paths.overruns[path] = paths.overruns[path] + 1
         stretch = wp.max(wp.where(met, hit.t, end) - start, 0.0)
-        mixture = mixture_of(media, inside)
-        if scene.lights.lamp_count > 0:
-            gather_lamps_between(
-                scene, options, tables, groups, paths, path, mixture, throughput, start, start + stretch)
-        if max_component(mixture.emission) > 0.0:
-            gather_glow(options, media, inside, tables, groups, paths, path, mixture, throughput, stretch)
-        if max_component(mixture.extinction) > 0.0:
-            pull = Pull()
-            if bounce <= PULLED_BOUNCES:
-                pull = pull_on(
-                    scene, mixture, origin + direction * start, direction, stretch,
-                    sample_pair(media_seed, index, 2 * layer))
-            passage = walk_stretch(mixture, throughput, stretch, pull, sample_pair(media_seed, index, 2 * layer + 1))
-            throughput = wp.cw_mul(throughput, passage.weight)
-            if passage.scattered == 1:
-                paths.t[path] = start + passage.t
-                paths.hit[path] = wp.vec2i(MISS, 0)
-                paths.throughput[path] = throughput
-                store_inside(kept, path, inside)
-                return True
+        passage = pass_stretch(
+            scene, options, media, inside, tables, groups, paths, path, throughput, start, stretch, layer, media_seed)
+        throughput = wp.cw_mul(throughput, passage.weight)
+        if passage.scattered == 1:
+            stop_in_medium(kept, paths, path, passage.t, inside, throughput)
+            return True
         if going:
-            point = layer_point(scene, hit, direction, kind, bounce, paths.cone[path])
-            transparency = layer_transparency(scene, point, kind, 0)
-            chance = pass_chance(scene, point, transparency, kind)
-            if further.solid == 1:
-                chance = 0.0
-            if sample_number(seed, index, layer) >= chance:
-                throughput = throughput / (1.0 - chance)
-                going = False
-            else:
-                throughput = wp.cw_mul(throughput, transparency / chance)
-                medium = media.of_material[point.material]
-                if medium != NO_MEDIUM and (scene.geometry.instances[hit.instance].visibility & kind) != 0:
-                    inside = cross(inside, hit.instance, medium, point.backfacing == 1)
+            met_layer = meet_layer(scene, media, inside, further, hit, layer, throughput, paths, path)
+            throughput = met_layer.throughput
+            going = met_layer.stops == 0
+            if going:
+                inside = met_layer.inside
                 start = hit.t
-                look = step_past(point, direction, hit.t)
+                look = met_layer.look
                 if look >= reach:
                     hit = opaque
                     going = False
         layer = layer + 1
-    store_hit(paths, path, hit)
-    paths.throughput[path] = throughput
-    store_inside(kept, path, inside)
-    if hit.instance != MISS:
-        if medium_at(scene, media, hit.instance, hit.triangle) != NO_MEDIUM:
-            kept.backfacing[path] = wp.where(surface_point(scene, hit, direction).backfacing == 1, 1, 0)
+    arrive(scene, media, kept, paths, path, hit, inside, throughput)
     return False
 
 
@@ -306,10 +284,7 @@ def march_media(
             forget_groups(groups_out, path)
         if bounce != ENDED:
             if march(scene, options, media, tables, groups_out, kept_out, paths_out, path):
-                paths_out.state[path] = ENDED
-                if bounce == 0:
-                    kept_out.first[path] = 1
-                if is_finite3(paths_out.throughput[path]) and max_component(paths_out.throughput[path]) > 0.0:
+                if end_scattered(kept_out, paths_out, path):
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path
         if groups_out.known.shape[0] > 0:
             groups_out.known[path] = rgb(paths_out.radiance[path])

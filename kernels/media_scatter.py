@@ -8,7 +8,8 @@ import warp as wp
 from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, safe_sqrt, to_frame
 from .intersect import MISS
 from .lamp_hit import FAR
-from .light_choice import choice_of_none, chosen_light, consider
+from .lamp_sample import LightSample
+from .light_choice import LightChoice, choice_of_none, chosen_light, consider
 from .light_linking import blockers, kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .media import (
@@ -81,6 +82,70 @@ def shade_media_misses(
 
 
 @wp.func
+def weigh_light(
+    scene: Scene, choice: LightChoice, s: LightSample, instance: int, value: float, paths: Paths, path: int,
+) -> LightChoice:
+    """Return a choice that has considered a light sample for a path, of which `value` is scattered its way."""
+    if instance >= 0:
+        s.visibility = kinds_lit(scene, s.visibility, instance)
+    weight = float(1.0)
+    if s.delta == 0 and blockers(s.visibility) == 0:
+        weight = power_heuristic(s.pdf, value)
+    here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
+    worth = wp.dot(here, scene.luminance) * s.brightness
+    if is_finite3(here) and worth > 0.0 and (s.visibility & VISIBLE_VOLUME) != 0:
+        return consider(choice, s, here, worth)
+    return choice
+
+
+@wp.func
+def aim_at_choice(scene: Scene, choice: LightChoice, position: wp.vec3, paths: Paths, path: int):
+    """Store the shadow ray of the light that was chosen for a place in the air, if there is one."""
+    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
+        light = chosen_light(choice, LIGHT_CANDIDATES)
+        aim_shadow_ray(scene, position, position, choice.kept, light, paths, path)
+
+
+@wp.func
+def scattered_direction(before: wp.vec3, anisotropy: float, u: wp.vec2) -> wp.vec3:
+    """Return a direction drawn by Henyey and Greenstein's function about the one before."""
+    cosine = phase_cosine(anisotropy, u[0])
+    sine = safe_sqrt(1.0 - cosine * cosine)
+    angle = TWO_PI * u[1]
+    return wp.normalize(to_frame(before, wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), cosine)))
+
+
+@wp.func
+def go_on_scattered(
+    scene: Scene, media: Media, inside: Inside, position: wp.vec3, direction: wp.vec3, value: float, instance: int,
+    bounce: int, paths: Paths, path: int,
+) -> bool:
+    """Send a path on from where it is scattered, `value`: by how much that way; return whether it goes on."""
+    density = float(value)
+    chance = return_chance(media, inside, position)
+    if chance < 1.0:
+        dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
+        number = sample_number(
+            hash_combine(paths.seed[path], RETURN_STREAM), paths.index[path], dimension + DIMENSION_ROULETTE)
+        paths.throughput[path] = paths.throughput[path] / chance
+        density = wp.where(number < chance, density, 0.0)
+    # The share is the density: no weight.
+    if not density > 0.0:
+        return False
+    paths.state[path] = bounce + 1
+    paths.cone[path] = wp.vec2(
+        paths.cone[path][0] + paths.cone[path][1] * paths.t[path], paths.cone[path][1])
+    paths.origin[path] = position
+    paths.direction[path] = direction
+    paths.t[path] = FAR
+    paths.pdf[path] = density
+    paths.side[path] = wp.vec3(0.0, 0.0, 0.0)
+    paths.kind[path] = VISIBLE_VOLUME
+    note_receiver(scene, wp.max(instance, 0), paths, path)
+    return True
+
+
+@wp.func
 def light_scattered(
     scene: Scene, media: Media, inside: Inside, position: wp.vec3, instance: int, dimension: int, paths: Paths,
     path: int,
@@ -98,20 +163,10 @@ def light_scattered(
         s = sample_light_of(
             scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
-            if instance >= 0:
-                s.visibility = kinds_lit(scene, s.visibility, instance)
             value = phase_value(media, inside, wp.dot(paths.direction[path], s.wi))
-            weight = float(1.0)
-            if s.delta == 0 and blockers(s.visibility) == 0:
-                weight = power_heuristic(s.pdf, value)
-            here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
-            worth = wp.dot(here, scene.luminance) * s.brightness
-            if is_finite3(here) and worth > 0.0 and (s.visibility & VISIBLE_VOLUME) != 0:
-                choice = consider(choice, s, here, worth)
+            choice = weigh_light(scene, choice, s, instance, value, paths, path)
         k = k + 1
-    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
-        light = chosen_light(choice, LIGHT_CANDIDATES)
-        aim_shadow_ray(scene, position, position, choice.kept, light, paths, path)
+    aim_at_choice(scene, choice, position, paths, path)
 
 
 @wp.kernel
@@ -151,28 +206,9 @@ def scatter_paths(
             choice = choose_phase(media, inside, sample_number(seed, index, dimension + DIMENSION_LOBE))
             if scene.lights.class_count > 0:
                 light_scattered(scene, media, inside, position, choice.instance, dimension, paths_out, path)
-            u = sample_pair(seed, index, dimension + DIMENSION_BSDF)
-            cosine = phase_cosine(choice.anisotropy, u[0])
-            sine = safe_sqrt(1.0 - cosine * cosine)
-            angle = TWO_PI * u[1]
-            direction = wp.normalize(
-                to_frame(before, wp.vec3(sine * wp.cos(angle), sine * wp.sin(angle), cosine)))
+            direction = scattered_direction(
+                before, choice.anisotropy, sample_pair(seed, index, dimension + DIMENSION_BSDF))
             value = phase_value(media, inside, wp.dot(before, direction))
-            chance = return_chance(media, inside, position)
-            if chance < 1.0:
-                number = sample_number(hash_combine(seed, RETURN_STREAM), index, dimension + DIMENSION_ROULETTE)
-                paths_out.throughput[path] = paths_out.throughput[path] / chance
-                value = wp.where(number < chance, value, 0.0)
-            # The share is the density: no weight.
-            if value > 0.0:
-                paths_out.state[path] = bounce + 1
-                paths_out.cone[path] = wp.vec2(
-                    paths_out.cone[path][0] + paths_out.cone[path][1] * paths_out.t[path], paths_out.cone[path][1])
-                paths_out.origin[path] = position
-                paths_out.direction[path] = direction
-                paths_out.t[path] = FAR
-                paths_out.pdf[path] = value
-                paths_out.side[path] = wp.vec3(0.0, 0.0, 0.0)
-                paths_out.kind[path] = VISIBLE_VOLUME
-                note_receiver(scene, wp.max(choice.instance, 0), paths_out, path)
+            if go_on_scattered(
+                scene, media, inside, position, direction, value, choice.instance, bounce, paths_out, path):
                 queue_out[wp.atomic_add(count_out, 0, 1)] = path

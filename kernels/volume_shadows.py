@@ -9,7 +9,7 @@ from .filter import MAX_LAYERS, layer_point, layer_transparency, step_past
 from .geometry_math import max_component
 from .intersect import MISS, closest_layer
 from .light_linking import shadow_set
-from .media import NO_MEDIUM, Inside, Media, MediaPaths, after_hit, cross, load_inside, store_inside
+from .media import Inside, Media, MediaPaths, after_hit, load_inside, past_layer, store_inside
 from .paths import ENDED, Options, Paths
 from .sampling import hash_combine
 from .shadow_layers import add_weakened
@@ -53,9 +53,7 @@ def share_through_volumes(
         product = wp.cw_mul(product, layer_transparency(scene, point, VISIBLE_SHADOW, blocking))
         if not max_component(product) > 0.0:
             return wp.vec3(0.0, 0.0, 0.0)
-        medium = media.of_material[point.material]
-        if medium != NO_MEDIUM and (scene.geometry.instances[hit.instance].visibility & VISIBLE_SHADOW) != 0:
-            inside = cross(inside, hit.instance, medium, point.backfacing == 1)
+        inside = past_layer(scene, media, inside, hit.instance, point, VISIBLE_SHADOW)
         start = hit.t
         look = step_past(point, direction, hit.t)
         if look >= distance:

@@ -15,7 +15,7 @@ from .geometry_math import max_component, mean_component
 from .light_groups import GroupLight, GroupTables
 from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium, mixture_of, passing
 from .media_distance import Passage
-from .media_march import add_met
+from .media_steps import add_met
 from .paths import Options, Paths, add_light, limit_at
 from .sampling import hash_combine, hashed_unit
 from .volume_grids import Volumes, add_grid, bound_at, grid_of, mixture_at, varies, world_grid
