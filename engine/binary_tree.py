@@ -12,10 +12,12 @@ __all__ = ["BinaryTree"]
 
 @dataclass
 class BinaryTree:
-    """A binary tree, its root the last node: children, or (-1 - item, 1) for leaves, and boxes."""
+    """Binary trees, the root of a single one the last node: children, or (-1 - item, 1) for leaves, and boxes."""
 
     children: wp.array
     lower: wp.array
     upper: wp.array
     batches: list[tuple[int, int]]
     """First node and count, the leaves' first, children in batches before those of their parents"""
+    roots: wp.array | None = None
+    """int, of several trees"""

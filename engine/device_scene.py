@@ -200,6 +200,7 @@ class DeviceScene:
             self.table = table
             write_places(self.rows, table.transforms, self.origin, moved)
             self._row_writer.write(self.instances, self.rows, moved)
+            self.structures.place(self.instances)
             self._moved_rows = np.union1d(self._moved_rows, moved) if len(self._moved_rows) else moved
         emission_moved = self._any_emits(moved)
         self._update_lights(delta, emission_moved, False)
@@ -337,6 +338,7 @@ class DeviceScene:
     def _upload_instances(self) -> None:
         self.structures.fill(self.rows, self.plan, self.store)
         self._write_instances()
+        self.structures.place(self.instances)
 
     def _drop_unused_meshes(self) -> None:
         for key in set(self.store.ranges) - set(self.plan.mesh_keys):

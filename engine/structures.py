@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Acceleration structures: what is flattened into one wide BVH, what lies as instances under a wp.Bvh.
+"""Acceleration structures: what is flattened into one wide BVH, what lies as instances under another.
 
 Flattening gives the fastest rays and costs memory per instance; it is done while it multiplies the unique triangles
 by less than a setting. An instance that moves or deforms leaves the flattened structure (its triangles are taken out
-there and the boxes above them shrink) and gets a wp.Mesh of its own, so that moving it again costs its own triangles
-only; it rejoins at the next full build. Triangles that need a test per hit lie in structures of their own.
+there and the boxes above them shrink) and gets a tree of its own (instance_level.py), so that moving it again costs a
+few boxes only; it rejoins at the next full build. Triangles that need a test per hit lie in structures of their own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
 
+from ..kernels import types
 from ..kernels.flatten import flatten_vertices
 from ..kernels.types import FlatTriangles, Geometry, Scene
 from .geometry_store import GeometryStore, MeshRange
+from .instance_level import InstanceLevel, MeshTree, ObjectTrees
 from .scene import Key, Visibility
-from .staging import RowWriter
 from .wide_bvh import WideBvh, build_wide
 
 __all__ = ["RAY_KINDS", "FlatStructure", "InstancePlan", "Structures", "decides_layers", "is_flat"]
@@ -33,7 +35,8 @@ RAY_KINDS = int(
 
 def is_flat(scene: Scene) -> bool:
     """Return whether all of a scene's triangles are flattened: kernels of flat_tracing.py are enough then."""
-    return int(scene.geometry.instance_bvh) == 0
+    geometry = scene.geometry
+    return int(geometry.instanced.nodes) == 0 and int(geometry.instanced_filtered.nodes) == 0
 
 
 def decides_layers(scene: Scene) -> bool:
@@ -62,15 +65,20 @@ class InstancePlan:
 
 @dataclass
 class _LocalMesh:
-    """Object-space structures of one mesh under one choice of filtered slots."""
+    """Object-space trees of one mesh under one choice of filtered slots."""
 
-    opaque: wp.Mesh | None
-    filtered: wp.Mesh | None
+    opaque: MeshTree | None
+    filtered: MeshTree | None
     opaque_faces: np.ndarray
     filtered_faces: np.ndarray
-    """int32, triangles (global) per face"""
-    first_opaque: int = 0
-    first_filtered: int = 0
+    """int32, triangles within the mesh per face"""
+    built: ObjectTrees | None
+    """Those that they are among"""
+
+    def parts(self, r: MeshRange) -> list[np.ndarray]:
+        """Return the triangles of its trees as int32 [T, 3], indices into all positions."""
+        chosen = [faces for faces in (self.opaque_faces, self.filtered_faces) if len(faces)]
+        return [r.local_triangles[faces] + np.int32(r.vertex_start) for faces in chosen]
 
 
 class FlatStructure:
@@ -111,15 +119,15 @@ class Structures:
 
     def __init__(self, device: str):
         self.device = device
-        self._writer = RowWriter(wp.vec3, device)
         self.clear()
 
     def clear(self) -> None:
         """Drop everything."""
         self.opaque = FlatStructure(self.device)
         self.filtered = FlatStructure(self.device)
-        self.bvh: wp.Bvh | None = None
-        self.bvh_instances = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.level: InstanceLevel | None = None
+        self.level_filtered: InstanceLevel | None = None
+        """Over those that are not flattened and have triangles of the kind"""
         self.mesh_faces = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.local: dict[tuple, _LocalMesh] = {}
         self.walks: dict[Key, wp.Mesh] = {}
@@ -127,13 +135,9 @@ class Structures:
         self.flat: set[int] = set()
         """The instances that are flattened"""
         self.instanced = np.zeros(0, bool)
-        self._built_for: tuple[list[_LocalMesh], np.ndarray] = ([], np.zeros(0, np.int64))
-        self._bounds: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-        """Of the instances under `bvh`, as it has them"""
+        self._built_for: tuple[list[_LocalMesh], np.ndarray, np.ndarray] = ([], *(np.zeros(0, np.int64),) * 2)
+        """The meshes of the levels, their instances, and which mesh each is of"""
         self.description = "empty"
-
-    def _static_builder(self) -> str:
-        return "cubql" if wp.get_device(self.device).is_cuda and wp.is_cubql_available() else "sah"
 
     def build(self, plan: InstancePlan, store: GeometryStore, instances: wp.array, threshold: float) -> None:
         """Build everything anew: choose which instances are flattened, then both levels.
@@ -155,7 +159,7 @@ class Structures:
         two_levels = flattened > ALWAYS_FLATTEN and flattened > threshold * max(unique, 1)
         self.instanced = drawn & (uses[plan.mesh_index] > 1) if two_levels else np.zeros(len(drawn), bool)
         self._build_flat(plan, ranges, instances, store, np.flatnonzero(drawn & ~self.instanced))
-        self._build_instances(plan, store)
+        self._build_instances(plan, store, set())
         in_levels = int(self.instanced.sum())
         flat = int(counts[plan.mesh_index[drawn & ~self.instanced]].sum())
         self.description = f"{flat:,} flattened triangles"
@@ -202,94 +206,118 @@ class Structures:
         # A layer is met once, by which its search goes on.
         self.filtered.build(points, filtered_index, filtered_face, splitting=False)
 
-    def _local_mesh(self, plan: InstancePlan, instance: int, store: GeometryStore, moving: bool) -> _LocalMesh:
-        key = plan.mesh_keys[plan.mesh_index[instance]]
-        slots = plan.filtered_slots[plan.group_index[instance]]
-        local = self.local.get((key, slots))
-        if local is None:
-            r = store.ranges[key]
-            is_filtered = _filtered_triangles(r, slots)
-            if is_filtered is None:
-                is_filtered = np.zeros(r.triangle_count, bool)
-            triangle = np.arange(r.triangle_start, r.triangle_start + r.triangle_count, dtype=np.int32)
-            points = wp.clone(store.positions.array[r.vertex_start:r.vertex_start + r.vertex_count])
-            builder = "lbvh" if moving and wp.get_device(self.device).is_cuda else self._static_builder()
-            local = _LocalMesh(
-                self._object_mesh(points, r.local_triangles[~is_filtered], builder),
-                self._object_mesh(points, r.local_triangles[is_filtered], builder),
-                triangle[~is_filtered], triangle[is_filtered])
-            self.local[(key, slots)] = local
-        return local
+    def _used_meshes(self, plan: InstancePlan, chosen: np.ndarray) -> tuple[list[tuple], np.ndarray]:
+        """Return the distinct (mesh, filtered slots) of instances, and which of them each has, int [len(chosen)]."""
+        numbers = {slots: i for i, slots in enumerate(dict.fromkeys(plan.filtered_slots))}
+        slots_of = np.array([numbers[slots] for slots in plan.filtered_slots], np.int64)
+        pairs = plan.mesh_index[chosen] * len(numbers) + slots_of[plan.group_index[chosen]]
+        distinct, local_of = np.unique(pairs, return_inverse=True)
+        slots = list(numbers)
+        return [(plan.mesh_keys[pair // len(slots)], slots[pair % len(slots)]) for pair in distinct.tolist()], local_of
 
-    def _object_mesh(self, points: wp.array, triangles: np.ndarray, builder: str) -> wp.Mesh | None:
-        if len(triangles) == 0:
+    def _build_trees(self, used: list[tuple], store: GeometryStore, edited: set[Key]) -> None:
+        """Build the trees of meshes that are missing; those that were edited together, to be edited again."""
+        for deforming in (False, True):
+            missing = [pair for pair in used if pair not in self.local and (pair[0] in edited) == deforming]
+            parts = []
+            for key, slots in missing:
+                r = store.ranges[key]
+                is_filtered = _filtered_triangles(r, slots)
+                if is_filtered is None:
+                    is_filtered = np.zeros(r.triangle_count, bool)
+                local = _LocalMesh(None, None, np.flatnonzero(~is_filtered).astype(np.int32),
+                                   np.flatnonzero(is_filtered).astype(np.int32), None)
+                self.local[key, slots] = local
+                parts += local.parts(r)
+            if not parts:
+                continue
+            built = ObjectTrees(store.positions.array, parts, deforming=deforming)
+            trees = iter(built.trees)
+            for pair in missing:
+                local = self.local[pair]
+                local.built = built
+                local.opaque = next(trees) if len(local.opaque_faces) else None
+                local.filtered = next(trees) if len(local.filtered_faces) else None
+
+    def _follow_edits(self, store: GeometryStore, edited: set[Key]) -> None:
+        """Fit trees to edited meshes where that is possible, drop them where it is not."""
+        for built in {id(local.built): local.built for pair, local in self.local.items() if pair[0] in edited}.values():
+            pairs = [pair for pair, local in self.local.items() if local.built is built]
+            known = built is not None and all(
+                pair[0] in edited and self._has_same_faces(pair, store.ranges[pair[0]]) for pair in pairs)
+            parts = [part for pair in pairs for part in self.local[pair].parts(store.ranges[pair[0]])] if known else []
+            if not (known and built.follow(store.positions.array, parts)):
+                for pair in pairs:
+                    if pair[0] in edited:
+                        del self.local[pair]
+
+    def _has_same_faces(self, pair: tuple, r: MeshRange) -> bool:
+        local, is_filtered = self.local[pair], _filtered_triangles(r, pair[1])
+        filtered = np.zeros(0, np.int64) if is_filtered is None else np.flatnonzero(is_filtered)
+        return (len(local.opaque_faces) + len(local.filtered_faces) == r.triangle_count
+                and np.array_equal(local.filtered_faces, filtered))
+
+    def _build_instances(self, plan: InstancePlan, store: GeometryStore, edited: set[Key]) -> None:
+        """Build the object-space trees that are missing and the levels over the instances."""
+        chosen = self._under_levels(plan)
+        used, local_of = self._used_meshes(plan, chosen)
+        self.local = {pair: self.local[pair] for pair in used if pair in self.local}
+        self._build_trees(used, store, edited)
+        meshes = [self.local[pair] for pair in used]
+        low, high = _outer_bounds(plan, chosen)
+        triangles = [store.ranges[key].triangle_start + faces for (key, _), local in zip(used, meshes, strict=True)
+                     for faces in (local.opaque_faces, local.filtered_faces)]
+        faces = np.concatenate([*triangles, np.zeros(1, np.int32)]).astype(np.int32)
+        before, self._built_for = self._built_for, (meshes, chosen, local_of)
+        if (len(before[0]) == len(meshes) and all(a is b for a, b in zip(before[0], meshes, strict=True))
+                and all(map(np.array_equal, before[1:], (chosen, local_of))) and self._move(chosen, low, high)):
+            # All stays where it is, so a recorded frame goes on using it.
+            if edited:
+                self.mesh_faces.assign(faces)
+            return
+        self.mesh_faces = wp.array(faces, dtype=int, device=self.device)
+        starts = np.concatenate([[0], np.cumsum([len(part) for part in triangles])])[:-1].astype(np.int64)
+        build = partial(self._build_level, chosen, low, high, local_of)
+        self.level = build([local.opaque for local in meshes], starts[0::2])
+        self.level_filtered = build([local.filtered for local in meshes], starts[1::2])
+
+    def _build_level(
+        self, chosen: np.ndarray, low: np.ndarray, high: np.ndarray, local_of: np.ndarray,
+        trees: list[MeshTree | None], first: np.ndarray,
+    ) -> InstanceLevel | None:
+        has = np.array([tree is not None for tree in trees], bool)[local_of]
+        if not has.any():
             return None
-        indices = wp.array(np.ascontiguousarray(triangles).ravel(), dtype=int, device=self.device)
-        return wp.Mesh(points, indices, bvh_constructor=builder, bvh_leaf_size=1)
+        rows = [(0,) * 6 if tree is None else tree.row(int(start)) for tree, start in zip(trees, first, strict=True)]
+        return InstanceLevel(chosen[has], low[has], high[has], local_of[has], np.array(rows, np.int64), self.device)
 
-    def _build_instances(self, plan: InstancePlan, store: GeometryStore, moving: bool = False) -> None:
-        """Build the object-space meshes that are missing and the structure over the instances."""
-        chosen = self._under_bvh(plan)
-        if len(chosen) == 0:
-            self.bvh = None
-            return
-        used = {}
-        for i in chosen.tolist():
-            key = (plan.mesh_keys[plan.mesh_index[i]], plan.filtered_slots[plan.group_index[i]])
-            if key not in used:
-                used[key] = self._local_mesh(plan, i, store, moving)
-        self.local = used
-        first = 0
-        for local in used.values():
-            local.first_opaque = first
-            local.first_filtered = first + len(local.opaque_faces)
-            first = local.first_filtered + len(local.filtered_faces)
-        bounds = _outer_bounds(plan, chosen)
-        if moving and self._refit(used, chosen, bounds):
-            return
-        faces = [part for local in used.values() for part in (local.opaque_faces, local.filtered_faces)]
-        self.mesh_faces = wp.array(np.concatenate(faces), dtype=int, device=self.device)
-        self.bvh_instances = wp.array(chosen.astype(np.int32), dtype=int, device=self.device)
-        low = wp.array(bounds[0], dtype=wp.vec3, device=self.device)
-        high = wp.array(bounds[1], dtype=wp.vec3, device=self.device)
-        self._built_for, self._bounds = (list(used.values()), chosen), bounds
-        self.bvh = wp.Bvh(low, high, constructor="sah" if len(chosen) < 4096 or self.device == "cpu" else "lbvh")
-
-    def _under_bvh(self, plan: InstancePlan) -> np.ndarray:
+    def _under_levels(self, plan: InstancePlan) -> np.ndarray:
         """Return, ascending, the instances that are not flattened."""
         return np.flatnonzero(self.instanced & (plan.mesh_index >= 0))
 
-    def _refit(self, used: dict, chosen: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> bool:
-        """Rebuild the structure over the instances in place if it has the same ones; return whether it had.
+    def _levels(self) -> list[InstanceLevel]:
+        return [level for level in (self.level, self.level_filtered) if level is not None]
 
-        Ids stay as they are, so a recorded frame goes on using it.
-        """
-        meshes, instances = self._built_for
-        same = (self.bvh is not None and len(meshes) == len(used) and np.array_equal(instances, chosen)
-                and all(a is b for a, b in zip(meshes, used.values(), strict=True)))
-        if same:
-            self._bounds = bounds
-            self._rebuild(np.arange(len(chosen)))
-        return same
-
-    def _rebuild(self, places: np.ndarray) -> None:
-        """Rebuild the structure over the instances for other bounds of some (ascending places in it)."""
-        for array, bounds in zip((self.bvh.lowers, self.bvh.uppers), self._bounds, strict=True):
-            self._writer.write(array, bounds, places)
-        self.bvh.rebuild()
+    def _move(self, moved: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+        """Follow instances (ascending) to other bounds, in place; return whether all levels could."""
+        for level in self._levels():
+            mine = np.isin(moved, level.chosen, assume_unique=True)
+            if mine.any() and not level.move(moved[mine], low[mine], high[mine]):
+                return False
+        return True
 
     def follow(self, plan: InstancePlan, moved: np.ndarray) -> bool:
-        """Follow instances (ascending) that have moved before to where they are; False where some have not.
+        """Follow instances (ascending) that have moved before to where they are; False where that can't be done.
 
         No instance may have another mesh, or come or go. What kernels read of the structures stays the same.
         """
-        if self.bvh is None or not self.instanced[moved].all():
-            return False
-        places = np.searchsorted(self._built_for[1], moved)
-        for bounds, new in zip(self._bounds, _outer_bounds(plan, moved), strict=True):
-            bounds[places] = new
-        self._rebuild(places)
-        return True
+        return bool(self._levels()) and bool(self.instanced[moved].all()) and self._move(
+            moved, *_outer_bounds(plan, moved))
+
+    def place(self, instances: wp.array) -> None:
+        """Take over the transforms of kernels.types.Instance [N] where they may have changed."""
+        for level in self._levels():
+            level.write_records(instances)
 
     def leave_flat(self, moved: np.ndarray) -> None:
         """Take instances out of the flattened structure (not yet into the other)."""
@@ -305,10 +333,10 @@ class Structures:
         self.instanced[moved] = True
 
     def update_instances(self, plan: InstancePlan, store: GeometryStore, changed_meshes: set[Key]) -> None:
-        """Rebuild the upper level after instances moved or meshes changed."""
-        self.local = {key: local for key, local in self.local.items() if key[0] not in changed_meshes}
+        """Rebuild the levels over instances after those moved or meshes changed."""
+        self._follow_edits(store, changed_meshes)
         self.walks = {key: mesh for key, mesh in self.walks.items() if key not in changed_meshes}
-        self._build_instances(plan, store, moving=True)
+        self._build_instances(plan, store, changed_meshes)
         count = int(self.instanced.sum())
         self.description = f"{len(self.flat):,} objects flattened, {count:,} moving or instanced in two levels"
 
@@ -316,8 +344,8 @@ class Structures:
         """Write the structures into the kernels' struct."""
         geometry.flat = self.opaque.struct()
         geometry.flat_filtered = self.filtered.struct()
-        geometry.instance_bvh = self.bvh.id if self.bvh is not None else 0
-        geometry.bvh_instances = self.bvh_instances
+        geometry.instanced, geometry.instanced_filtered = (
+            types.InstanceLevel() if level is None else level.struct() for level in (self.level, self.level_filtered))
         geometry.mesh_faces = self.mesh_faces
 
     def _make_walks(self, plan: InstancePlan, store: GeometryStore) -> np.ndarray:
@@ -326,30 +354,30 @@ class Structures:
         before, self.walks = self.walks, {}
         for mesh in np.unique(plan.mesh_index[chosen]).tolist():
             key = plan.mesh_keys[mesh]
-            r = store.ranges[key]
-            points = store.positions.array[r.vertex_start:r.vertex_start + r.vertex_count]
-            self.walks[key] = before.get(key) or self._object_mesh(
-                wp.clone(points), r.local_triangles, self._static_builder())
+            self.walks[key] = before.get(key) or self._object_mesh(store, store.ranges[key])
         return chosen
+
+    def _object_mesh(self, store: GeometryStore, r: MeshRange) -> wp.Mesh | None:
+        if r.triangle_count == 0:
+            return None
+        cuda = wp.get_device(self.device).is_cuda
+        return wp.Mesh(
+            wp.clone(store.positions.array[r.vertex_start:r.vertex_start + r.vertex_count]),
+            wp.array(np.ascontiguousarray(r.local_triangles).ravel(), dtype=int, device=self.device),
+            bvh_constructor="cubql" if cuda and wp.is_cubql_available() else "sah", bvh_leaf_size=1)
 
     def fill(self, rows: np.ndarray, plan: InstancePlan, store: GeometryStore) -> None:
         """Write the structures' ids into the structured array of instances."""
         rows["walk_mesh"] = 0
         for i in self._make_walks(plan, store).tolist():
             rows["walk_mesh"][i] = self.walks[plan.mesh_keys[plan.mesh_index[i]]].id
-        rows["opaque_bvh"] = 0
-        rows["filtered_bvh"] = 0
-        for i in self._under_bvh(plan).tolist():
-            local = self.local[(plan.mesh_keys[plan.mesh_index[i]], plan.filtered_slots[plan.group_index[i]])]
-            rows["opaque_bvh"][i] = local.opaque.id if local.opaque is not None else 0
-            rows["filtered_bvh"][i] = local.filtered.id if local.filtered is not None else 0
-            rows["opaque_faces"][i] = local.first_opaque
-            rows["filtered_faces"][i] = local.first_filtered
+        rows["instanced"] = 0
+        rows["instanced"][self._under_levels(plan)] = 1
 
     @property
     def has_filtered(self) -> bool:
         """Return whether any triangle needs a test per hit."""
-        return self.filtered.wide is not None or any(local.filtered is not None for local in self.local.values())
+        return self.filtered.wide is not None or self.level_filtered is not None
 
 
 def _outer_bounds(plan: InstancePlan, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

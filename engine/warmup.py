@@ -139,6 +139,7 @@ from ..kernels import (
     volume_shadows,
     wide_bvh_build,
     wide_bvh_edit,
+    wide_instances_edit,
 )
 from .device import block_size, start_warp, thread_count
 from .errors import KernelBuildFailed
@@ -148,8 +149,8 @@ __all__ = ["KERNEL_MODULES", "warm_up"]
 KERNEL_MODULES = (
     fog_blend, fog_composite, fog_rays, fog_samples,
     film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
-    cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, opacity_maps, opacity_answers,
-    decided_layers, lobe_moments, mesh_islands,
+    cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, wide_instances_edit, opacity_maps,
+    opacity_answers, decided_layers, lobe_moments, mesh_islands,
     antialias, cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade, cache_spread, composite,
     composite_debug, denoise_debug, gather_blend, gather_temporal, probe_contact, diffuse_blur, diffuse_temporal,
     direct_atrous, direct_candidates, direct_change, direct_debug, direct_emitters, direct_shadow, direct_temporal,

@@ -11,15 +11,16 @@ import warp as wp
 
 from ..kernels import cluster_tree, triangle_split
 from ..kernels import wide_bvh_build as kernels
-from ..kernels.wide_bvh import MAX_DEPTH, NODE_WORDS, TRIANGLE_WORDS
+from ..kernels.wide_bvh import NODE_WORDS, TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
+from ..kernels.wide_query import MAX_DEPTH
 from .binary_tree import BinaryTree
 from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
 from .tree_reinsertion import mend_upper_levels
 from .work_list import make_queue
 
-__all__ = ["WideBvh", "build_wide", "launch_bands"]
+__all__ = ["WideBvh", "build_forest", "build_over", "build_wide", "launch_bands"]
 
 RADIUS = 16
 """Places along the curve to each side among which a cluster looks for its neighbor"""
@@ -84,9 +85,15 @@ class WideBvh:
         """
         device = self.nodes.device.alias
         launch(mark_gone, self.references, [faces, leaving], [self.triangles], device)
+        self.refit()
+
+    def refit(self) -> tuple[wp.array, wp.array]:
+        """Write all boxes anew, in place, for triangles that are elsewhere; return each node's, vec3."""
+        device = self.nodes.device.alias
         lower, upper = (wp.empty(len(self.nodes) // NODE_WORDS, dtype=wp.vec3, device=device) for _ in range(2))
         for first, count in reversed(self.levels):
             launch(refit_nodes, count, [first, self.triangles, int(self.split)], [self.nodes, lower, upper], device)
+        return lower, upper
 
 
 @dataclass
@@ -124,21 +131,56 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
             "keep; let objects share their meshes, or hide some")
     whole = _whole(points, indices)
     parts = (_split(points, indices, whole) if splitting else None) or whole
-    # Sizes that grow from triangle to triangle may make a chain, shorter without patience. Pairs along the curve make a
-    # tree of at most as many levels as the count has bits.
-    for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
-        tree = _cluster(parts.lower, parts.upper, radius, patience)
-        nodes, items, levels = _collapse(mend_upper_levels(tree) if patience else tree, len(parts.faces))
-        if patience and len(levels) > MAX_DEPTH:
-            nodes, items, levels = _collapse(tree, len(parts.faces))
-        if len(levels) <= MAX_DEPTH:
-            break
+    nodes, items, levels = build_over(parts.lower, parts.upper)
     triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
     launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [triangles], device)
     wholes = np.zeros(0, np.int32)
     if parts is not whole:
         wholes = np.sort(np.unique(parts.faces.numpy()[items.numpy()], return_index=True)[1]).astype(np.int32)
     return WideBvh(nodes, triangles, levels, len(items), wp.array(wholes, dtype=int, device=device))
+
+
+def build_over(lower: wp.array, upper: wp.array) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
+    """Build nodes over boxes.
+
+    Args:
+        lower: vec3 [N], N > 0.
+        upper: vec3 [N].
+
+    Returns:
+        The nodes; int [N], the boxes in the leaves' order; first node and count of each level.
+    """
+    # Sizes that grow from box to box may make a chain, shorter without patience. Pairs along the curve make a tree of
+    # at most as many levels as the count has bits.
+    for radius, patience in ((RADIUS, PATIENCE), (RADIUS, 0), (0, 0)):
+        tree = _cluster(lower, upper, radius, patience)
+        made = _collapse(mend_upper_levels(tree) if patience else tree, len(lower))
+        if patience and len(made[2]) > MAX_DEPTH:
+            made = _collapse(tree, len(lower))
+        if len(made[2]) <= MAX_DEPTH:
+            break
+    return made
+
+
+def build_forest(points: wp.array, indices: wp.array, counts: np.ndarray) -> WideBvh | None:
+    """Build a tree for each of M meshes, together, as the launches for a small one take longer than its work.
+
+    Args:
+        points: vec3 [V].
+        indices: int [3 * N], the meshes one after another.
+        counts: int [M], triangles of each, above 0.
+
+    Returns:
+        All trees, the first M nodes their roots; None where one is too deep, which build_wide can help.
+    """
+    device, whole = points.device.alias, _whole(points, indices)
+    tree = _cluster(whole.lower, whole.upper, RADIUS, PATIENCE, counts)
+    nodes, items, levels = _collapse(tree, len(whole.faces))
+    if len(levels) > MAX_DEPTH:
+        return None
+    triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
+    launch(kernels.write_triangles, len(items), [points, indices, items, whole.faces, whole.steps], [triangles], device)
+    return WideBvh(nodes, triangles, levels, len(items), wp.zeros(0, dtype=int, device=device))
 
 
 def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:
@@ -197,12 +239,16 @@ def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, output
         for start in range(first, first + count, size)])
 
 
-def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: int) -> BinaryTree:
-    """Return the tree that clustering makes over boxes; for radius and patience see RADIUS and PATIENCE."""
+def _cluster(
+    item_lower: wp.array, item_upper: wp.array, radius: int, patience: int, counts: np.ndarray | None = None,
+) -> BinaryTree:
+    """Return the tree that clustering makes over boxes; for radius and patience see RADIUS and PATIENCE.
+
+    With `counts` as many trees, of so many boxes each.
+    """
     device, count = item_lower.device.alias, len(item_lower)
-    total = 2 * count - 1
-    low = item_lower.numpy().min(0)
-    size = float(np.maximum((item_upper.numpy().max(0) - low).max(), 1e-30))
+    trees = 1 if counts is None else len(counts)
+    total = 2 * count - trees
     lower, upper = (wp.empty(total, dtype=wp.vec3, device=device) for _ in range(2))
     wp.copy(lower, item_lower)
     wp.copy(upper, item_upper)
@@ -210,25 +256,47 @@ def _cluster(item_lower: wp.array, item_upper: wp.array, radius: int, patience: 
     # Sorting needs twice the room.
     codes = wp.empty(2 * count, dtype=wp.int64, device=device)
     clusters = wp.empty(2 * count, dtype=int, device=device)
-    launch(cluster_tree.start_clusters, count, [
-        wp.vec3(*low.tolist()), float(cluster_tree.CURVE_CELLS) / size, lower, upper],
-        [codes, clusters, children], device)
+    tree_of = wp.empty(0 if counts is None else total, dtype=int, device=device)
+    if counts is None:
+        low, size = _extent(item_lower.numpy(), item_upper.numpy())
+        launch(cluster_tree.start_clusters, count, [
+            wp.vec3(*low[0].tolist()), float(cluster_tree.CURVE_CELLS) / float(size[0]), lower, upper],
+            [codes, clusters, children], device)
+    else:
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        low, size = _extent(item_lower.numpy(), item_upper.numpy(), starts)
+        wp.copy(tree_of, wp.array(np.repeat(np.arange(trees, dtype=np.int32), counts), dtype=int, device=device))
+        launch(cluster_tree.start_forest, count, [
+            tree_of, wp.array(low, dtype=wp.vec3, device=device),
+            wp.array(float(cluster_tree.CURVE_CELLS) / size, dtype=float, device=device),
+            max(0, int(trees).bit_length() - (62 - int(cluster_tree.CURVE_BITS))), lower, upper],
+            [codes, clusters, children], device)
     wp.utils.radix_sort_pairs(codes, clusters, count)
     neighbor, following, kept, merged = (wp.empty(count, dtype=int, device=device) for _ in range(4))
     batches, first, reach, slow = [(0, count)], count, radius, 0
-    while count > 1:
-        launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, lower, upper], [neighbor])
+    while count > trees:
+        launch_bands(cluster_tree.find_neighbors, 0, count, [clusters, count, reach, tree_of, lower, upper], [neighbor])
         launch(cluster_tree.mark_merged, count, [neighbor], [kept, merged], device)
         wp.utils.array_scan(kept[:count], kept[:count])
         wp.utils.array_scan(merged[:count], merged[:count])
         launch(cluster_tree.merge_clusters, count, [clusters, neighbor, kept, merged, first],
-               [following, children, lower, upper], device)
+               [following, tree_of, children, lower, upper], device)
         made = int(merged[count - 1:count].numpy()[0])
         batches.append((first, made))
-        slow += made * SLOW < count
-        reach = 0 if made * SLOW < count and slow > patience else radius
+        # Trees that are done are left out of account.
+        slowly = made * SLOW < count - trees + 1
+        slow += slowly
+        # Of several trees twins may be of different ones, so that none is merged: never twice in a row.
+        reach = 0 if slowly and slow > patience and reach > 0 else radius
         clusters, following, count, first = following, clusters, count - made, first + made
-    return BinaryTree(children, lower, upper, batches)
+    return BinaryTree(children, lower, upper, batches, None if counts is None else clusters[:count])
+
+
+def _extent(lower: np.ndarray, upper: np.ndarray, starts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return float32 [M, 3] and [M]: lowest corners and longest sides of boxes from each start to the next."""
+    starts = np.zeros(1, np.int64) if starts is None else starts
+    low, high = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
+    return low, np.maximum((high - low).max(1), np.float32(1e-30))
 
 
 def _collapse(tree: BinaryTree, count: int) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
@@ -244,7 +312,7 @@ def _collapse(tree: BinaryTree, count: int) -> tuple[wp.array, wp.array, list[tu
     # Every wide node but the root takes the place of a binary one that isn't a leaf.
     words = wp.zeros(NODE_WORDS * count, dtype=wp.uint32, device=device)
     items = wp.empty(count, dtype=int, device=device)
-    roots = wp.array([total - 1], dtype=int, device=device)
+    roots = tree.roots if tree.roots is not None else wp.array([total - 1], dtype=int, device=device)
     first_triangle, levels = 0, []
     while len(roots):
         size = len(roots)

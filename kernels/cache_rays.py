@@ -312,7 +312,7 @@ def resume_bounces(
         vertices_out.source[bounce] = NO_CELL
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_cache_rays(
     first: int,
     # In:
@@ -341,7 +341,7 @@ def finish_cache_shadow(paths: Paths, slot: int, blocked: bool, filtered: int):
         paths.shadow_distance[slot] = 0.0
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_cache_shadows(
     # In:
     scene: Scene,

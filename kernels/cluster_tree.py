@@ -15,6 +15,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Cells of the space-filling curve along the scene's longest side.
 CURVE_CELLS = wp.constant(1048576.0)
+CURVE_BITS = wp.constant(60)
+"""Of a place on it"""
 
 
 @wp.func
@@ -56,6 +58,41 @@ def start_clusters(
     children_out[i] = wp.vec2i(-1 - i, 1)
 
 
+@wp.kernel
+def start_forest(
+    # In:
+    tree_of: wp.array[int],
+    origins: wp.array[wp.vec3],
+    scales: wp.array[float],
+    dropped: int,
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    # Out:
+    codes_out: wp.array[wp.int64],
+    clusters_out: wp.array[int],
+    children_out: wp.array[wp.vec2i],
+):
+    """Do the same for the items of many trees, each with its own box; their numbers lead the codes.
+
+    `dropped`: lowest bits of the curve that give way to them.
+    """
+    i = wp.tid()
+    tree = tree_of[i]
+    middle = (0.5 * (lower[i] + upper[i]) - origins[tree]) * scales[tree]
+    code = (spread_bits(middle[2]) << wp.int64(2)) | (spread_bits(middle[1]) << wp.int64(1)) | spread_bits(middle[0])
+    codes_out[i] = (wp.int64(tree) << wp.int64(CURVE_BITS - dropped)) | (code >> wp.int64(dropped))
+    clusters_out[i] = i
+    children_out[i] = wp.vec2i(-1 - i, 1)
+
+
+@wp.func
+def one_tree(tree_of: wp.array[int], first: int, second: int) -> bool:
+    """Return whether two nodes are of the same tree; `tree_of` is empty where there is but one."""
+    if tree_of.shape[0] == 0:
+        return True
+    return tree_of[first] == tree_of[second]
+
+
 @wp.func
 def common_area(low: wp.vec3, high: wp.vec3, lower: wp.array[wp.vec3], upper: wp.array[wp.vec3], node: int) -> float:
     """Return half the surface of the box about a box and a node."""
@@ -82,6 +119,7 @@ def find_neighbors(
     clusters: wp.array[int],
     count: int,
     radius: int,
+    tree_of: wp.array[int],
     lower: wp.array[wp.vec3],
     upper: wp.array[wp.vec3],
     # Out:
@@ -91,7 +129,8 @@ def find_neighbors(
 
     Of equals the one that shares all bits of the place but the lowest counts first, then the one at the lowest place:
     pairs are in a total order, so at least one pair is merged, and of many equal boxes half are. With a radius of 0
-    those pairs are merged whatever their boxes.
+    those pairs are merged whatever their boxes. `tree_of`: each node's tree, empty for one: clusters of different ones
+    are never merged.
     """
     i = first + wp.tid()
     low = lower[clusters[i]]
@@ -99,13 +138,13 @@ def find_neighbors(
     best = float(3.0e38)
     neighbor = int(-1)
     twin = i ^ 1
-    if twin < count:
+    if twin < count and one_tree(tree_of, clusters[i], clusters[wp.min(twin, count - 1)]):
         best = common_area(low, high, lower, upper, clusters[twin])
         neighbor = twin
     j = wp.max(i - radius, 0)
     last = wp.min(i + radius, count - 1)
     while j <= last:
-        if j != i:
+        if j != i and one_tree(tree_of, clusters[i], clusters[j]):
             area = common_area(low, high, lower, upper, clusters[j])
             if area < best or neighbor < 0:
                 best = area
@@ -141,6 +180,7 @@ def merge_clusters(
     first: int,
     # Out:
     clusters_out: wp.array[int],
+    tree_of_out: wp.array[int],
     children_out: wp.array[wp.vec2i],
     lower_out: wp.array[wp.vec3],
     upper_out: wp.array[wp.vec3],
@@ -158,5 +198,7 @@ def merge_clusters(
         children_out[parent] = wp.vec2i(node, right)
         lower_out[parent] = wp.min(lower_out[node], lower_out[right])
         upper_out[parent] = wp.max(upper_out[node], upper_out[right])
+        if tree_of_out.shape[0] > 0:
+            tree_of_out[parent] = tree_of_out[node]
         node = parent
     clusters_out[kept[i] - 1] = node

@@ -120,7 +120,7 @@ def aim_shadow_rays(
     light_out.specular[pixel] = pack_halves(rgba(light.specular, 1.0))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_direct_shadows(
     # In:
     first: int,

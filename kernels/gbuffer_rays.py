@@ -104,7 +104,7 @@ def veiled_light(hits: PrimaryHits, layers: int, pixel: int, emitted: wp.vec3) -
     return light
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_primary(
     # In:
     first: int,
@@ -120,7 +120,7 @@ def trace_primary(
     store_primary_hit(hits_out, pixel, closest_hit(scene.geometry, ray.origin, ray.direction, ray.t_max))
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_primary_layers(
     # In:
     first: int,

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays against the scene: closest hit, any hit, and the geometry of a hit. Thin: knows no materials.
 
-Static triangles lie flattened in one 8-wide BVH in world space; instances that move or are too many to flatten lie
-under a wp.Bvh whose leaves are queried in object space (a mesh query inside a bvh query works in Warp, a bvh query
-inside another does not). Triangles that need a test per hit (transparency, visibility by ray kind) lie in
-structures of their own, queried by filter.py layer by layer.
+Static triangles lie flattened in one 8-wide BVH in world space; instances that move or are too many to flatten lie in
+another one over those of their meshes (wide_instances.py). Triangles that need a test per hit (transparency, visibility
+by ray kind) lie in structures of their own, queried by filter.py layer by layer.
 
 Ray origins are moved off the surface by the float error bound of the hit position (Pharr, Jakob and Humphreys,
 "Physically Based Rendering" 4th ed., section 6.8), not by a constant: a scene may be any size.
@@ -14,9 +13,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_direction, transform_normal, transform_point
-from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, Scene, ShadingPoint
+from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_normal, transform_point
+from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, InstanceLevel, Scene, ShadingPoint
 from .wide_bvh import any_wide, closest_wide
+from .wide_instances import any_in_instances, closest_in_instances
 from .wide_layers import closest_layer_wide, shadow_layer_wide
 from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
 
@@ -114,32 +114,20 @@ def any_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, t_max: 
 
 
 @wp.func
-def closest_instanced(geometry: Geometry, filtered: int, origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
-    """Shorten `hit` by the instances of the two-level structure; `filtered` chooses which of their meshes."""
+def closest_instanced(
+    level: InstanceLevel, mesh_faces: wp.array[int], origin: wp.vec3, direction: wp.vec3, hit: Hit,
+) -> Hit:
+    """Shorten `hit` by instances that are not flattened."""
     result = hit
-    if geometry.instance_bvh == wp.uint64(0):
-        return result
-    query = wp.bvh_query_ray(geometry.instance_bvh, origin, direction)
-    leaf = int(0)
-    while wp.bvh_query_next(query, leaf, result.t):
-        index = geometry.bvh_instances[leaf]
-        bvh = geometry.instances[index].opaque_bvh
-        first_face = geometry.instances[index].opaque_faces
-        if filtered == 1:
-            bvh = geometry.instances[index].filtered_bvh
-            first_face = geometry.instances[index].filtered_faces
-        if bvh != wp.uint64(0):
-            to_object = geometry.instances[index].to_object
-            # The direction is not normalised, so t means the same in both spaces.
-            local = wp.mesh_query_ray(
-                bvh, transform_point(to_object, origin), transform_direction(to_object, direction), result.t)
-            if local.result:
-                result.t = local.t
-                result.instance = index
-                result.triangle = geometry.mesh_faces[first_face + local.face]
-                # Warp weighs the first vertex by u and the second by v.
-                result.u = local.v
-                result.v = 1.0 - local.u - local.v
+    found = closest_in_instances(level.nodes, level.records, origin, direction, hit.t)
+    face = wp.cast(found[3], int)
+    if face >= 0:
+        result.t = found[0]
+        result.instance = wp.cast(found[4], int)
+        result.triangle = mesh_faces[face]
+        # The weights found are those of the first and second vertex.
+        result.u = found[2]
+        result.v = 1.0 - found[1] - found[2]
     return result
 
 
@@ -150,14 +138,15 @@ def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: 
     hit.t = t_max
     hit.instance = MISS
     hit = closest_static(geometry.flat, origin, direction, hit)
-    return closest_instanced(geometry, 0, origin, direction, hit)
+    return closest_instanced(geometry.instanced, geometry.mesh_faces, origin, direction, hit)
 
 
 @wp.func
 def closer_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, flat: Layer) -> Layer:
     """Return an instance's triangle that needs a test where it is closer than the flattened one; it has no map."""
     layer = flat
-    layer.hit = closest_instanced(geometry, 1, origin, direction, flat.hit)
+    layer.hit = closest_instanced(
+        geometry.instanced_filtered, geometry.mesh_faces, origin, direction, flat.hit)
     if layer.hit.t < flat.hit.t:
         layer.solid = 0
     return layer
@@ -184,19 +173,7 @@ def any_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: floa
     """Return whether an opaque triangle lies before t_max."""
     if any_static(geometry.flat, origin, direction, t_max):
         return True
-    if geometry.instance_bvh != wp.uint64(0):
-        query = wp.bvh_query_ray(geometry.instance_bvh, origin, direction)
-        leaf = int(0)
-        while wp.bvh_query_next(query, leaf, t_max):
-            index = geometry.bvh_instances[leaf]
-            bvh = geometry.instances[index].opaque_bvh
-            if bvh != wp.uint64(0):
-                to_object = geometry.instances[index].to_object
-                local_origin = transform_point(to_object, origin)
-                local_direction = transform_direction(to_object, direction)
-                if wp.mesh_query_ray_anyhit(bvh, local_origin, local_direction, t_max):
-                    return True
-    return False
+    return any_in_instances(geometry.instanced.nodes, geometry.instanced.records, origin, direction, t_max)
 
 
 @wp.func
@@ -219,7 +196,7 @@ def instance_shift(geometry: Geometry, instance: int) -> wp.vec3:
     met where surface_point finds them, however their vertices were rounded.
     """
     row = load_instance(geometry.instances, instance)
-    if row.opaque_bvh == wp.uint64(0) and row.filtered_bvh == wp.uint64(0):
+    if row.instanced == 0:
         return wp.vec3(0.0, 0.0, 0.0)
     m = row.to_world
     return wp.vec3(wp.abs(m[0, 3]), wp.abs(m[1, 3]), wp.abs(m[2, 3]))

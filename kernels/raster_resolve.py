@@ -90,7 +90,7 @@ def resolve_hits(
         hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def resolve_instances(
     # In:
     first: int,
@@ -107,7 +107,8 @@ def resolve_instances(
         return
     ray = primary_ray(load_view(views), pixel % width, pixel // width)
     hit = no_hit(hits_out.t[pixel])
-    hit = closest_instanced(scene.geometry, 0, ray.origin, ray.direction, hit)
+    hit = closest_instanced(
+        scene.geometry.instanced, scene.geometry.mesh_faces, ray.origin, ray.direction, hit)
     if hit.instance != MISS:
         store_primary_hit(hits_out, pixel, hit)
 

@@ -13,7 +13,7 @@ from .types import Scene
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_further(
     # In:
     scene: Scene,

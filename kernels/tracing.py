@@ -104,7 +104,7 @@ def generate_paths(
         end_unseen(paths_out, path)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_paths(
     # In:
     scene: Scene,
@@ -124,7 +124,7 @@ def trace_paths(
         i = i + stride
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_layers(
     # In:
     scene: Scene,
@@ -144,7 +144,7 @@ def trace_layers(
         i = i + stride
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_shadows(
     # In:
     scene: Scene,
@@ -172,7 +172,7 @@ def trace_shadows(
         finish_shadow(options, bounces, paths_out, path, distance, blocked)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_shadow_layers(
     # In:
     scene: Scene,

@@ -96,13 +96,8 @@ class Instance:
     material_offset: int
     """First slot in Materials.instance_materials"""
     material_count: int
-    opaque_bvh: wp.uint64
-    """Object-space wp.Mesh of the opaque triangles, 0 where the instance is flattened or has none"""
-    filtered_bvh: wp.uint64
-    """The same for triangles that need a test per hit (transparency, ray visibility)"""
-    opaque_faces: int
-    """First entry in Geometry.mesh_faces for opaque_bvh's faces"""
-    filtered_faces: int
+    instanced: int
+    """1 where its triangles lie in object space (wide_instances.py), 0 where they are flattened"""
     visibility: int
     flipped: int
     """1 where the transform mirrors (negative determinant)"""
@@ -134,6 +129,15 @@ class FlatTriangles:
 
 
 @wp.struct
+class InstanceLevel:
+    """Instances in an 8-wide BVH over those of their meshes (wide_instances.py)."""
+
+    nodes: wp.uint64
+    """Address, 0 where there are none"""
+    records: wp.uint64
+
+
+@wp.struct
 class Geometry:
     """All triangles and the structures over them."""
 
@@ -141,10 +145,10 @@ class Geometry:
     """The flattened opaque triangles"""
     flat_filtered: FlatTriangles
     """The flattened triangles that need a test per hit"""
-    instance_bvh: wp.uint64
-    """wp.Bvh over the instances that are not flattened, 0 for none"""
-    bvh_instances: wp.array[int]
-    """Instance per leaf of instance_bvh"""
+    instanced: InstanceLevel
+    """The opaque triangles of instances that are not flattened"""
+    instanced_filtered: InstanceLevel
+    """Those that need a test per hit (transparency, ray visibility)"""
     mesh_faces: wp.array[int]
     """Triangle (index into `triangles`) per face of the object-space structures"""
     instances: wp.array[Instance]

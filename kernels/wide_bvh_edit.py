@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that take triangles out of an 8-wide BVH (wide_bvh.py) and shrink its boxes to what is left."""
+"""Kernels that take triangles out of an 8-wide BVH (wide_bvh.py), or move them, and fit its boxes to what is there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warp as wp
 
 from .triangle_split import Box, part_box
 from .wide_bvh import NODE_WORDS, TRIANGLE_WORDS
-from .wide_bvh_build import Grid, add_box, add_byte, grid_about, write_grid
+from .wide_bvh_build import FAR, Grid, add_box, add_byte, grid_about, write_grid
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -41,6 +41,29 @@ def mark_gone(
     if face != GONE:
         if leaving[faces[int(face)][0]] == 1:
             triangles_out[word] = GONE
+
+
+@wp.kernel
+def place_triangles(
+    # In:
+    points: wp.array[wp.vec3],
+    indices: wp.array[int],
+    # Out:
+    triangles_out: wp.array[wp.uint32],
+):
+    """Put all references' vertices where they are now; `indices` as those that the triangles were written from."""
+    word = TRIANGLE_WORDS * wp.tid()
+    face = int(triangles_out[word + 3])
+    reach = float(0.0)
+    for k in range(3):
+        reach = wp.max(reach, wp.length(points[indices[3 * face + k]]))
+    for k in range(3):
+        point = points[indices[3 * face + k]]
+        # False for NaN too: as triangle_bounds takes it.
+        if not (reach < FAR):
+            point = wp.vec3(0.0, 0.0, 0.0)
+        for axis in range(3):
+            triangles_out[word + 4 * k + axis] = wp.cast(point[axis], wp.uint32)
 
 
 @wp.func

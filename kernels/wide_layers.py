@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from . import wide_bvh
-from .wide_bvh import POSTPONE, RESULT, WAITING, query_source
+from .wide_query import POSTPONE, RESULT, WAITING, query_source
 
 __all__ = ["LayerHit", "chance_layer_wide", "closest_layer_wide", "passing_layers_wide", "shadow_layer_wide"]
 

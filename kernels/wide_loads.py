@@ -224,12 +224,6 @@ def matrix_of(x: wp.vec4, y: wp.vec4, z: wp.vec4) -> wp.mat44:
 
 
 @wp.func
-def joined(low: int, high: int) -> wp.uint64:
-    """Return a number of 64 bits."""
-    return wp.uint64(wp.cast(low, wp.uint32)) | (wp.uint64(wp.cast(high, wp.uint32)) << wp.uint64(32))
-
-
-@wp.func
 def load_instance(rows: wp.array[Instance], index: int) -> Instance:
     """Return what shading needs of rows[index]: all but its number, colour and texture space."""
     row = Instance()
@@ -242,14 +236,10 @@ def load_instance(rows: wp.array[Instance], index: int) -> Instance:
     row.triangle_offset = places[1]
     row.material_offset = places[2]
     row.material_count = places[3]
-    structures = instance_ints(rows, index, 9)
-    row.opaque_bvh = joined(structures[0], structures[1])
-    row.filtered_bvh = joined(structures[2], structures[3])
-    rest = instance_ints(rows, index, 10)
-    row.opaque_faces = rest[0]
-    row.filtered_faces = rest[1]
-    row.visibility = rest[2]
-    row.flipped = rest[3]
+    rest = instance_ints(rows, index, 9)
+    row.instanced = rest[0]
+    row.visibility = rest[1]
+    row.flipped = rest[2]
     return row
 
 

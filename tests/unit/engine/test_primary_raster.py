@@ -168,7 +168,7 @@ def test_instances_beside_what_is_flattened():
         moved = [*objects[:2], ("ball", scenes.place(0.7), "grey"), ("veil", scenes.place(0.2), "veil")]
         frames.update(dataclasses.replace(scenes.delta({}, moved, {}), full=False))
         frames.frame(camera(), np.array(JITTER))
-        assert int(frames.scene.scene.geometry.instance_bvh) != 0
+        assert int(frames.scene.scene.geometry.instanced.nodes) != 0
         hits = frames.gbuffer_pass.hits
         pictures.append({name: getattr(hits, name).numpy().copy() for name in ("hit", "layer")})
     for name in ("hit", "layer"):

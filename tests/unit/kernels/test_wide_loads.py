@@ -101,8 +101,8 @@ def test_structs(device: str) -> None:
     flags = wp.zeros(COUNT, dtype=wp.vec4i, device=device)
     wp.launch(copy_rows, COUNT, [*sources, *outs, flags], device=device)
     instances, views, infos = (out.numpy() for out in outs)
-    names = ["to_world", "to_object", "mesh", "triangle_offset", "material_offset", "material_count", "opaque_bvh",
-             "filtered_bvh", "opaque_faces", "filtered_faces", "visibility", "flipped"]
+    names = ["to_world", "to_object", "mesh", "triangle_offset", "material_offset", "material_count", "instanced",
+             "visibility", "flipped"]
     assert _fields(instances, names) == _fields(rows[Instance], names)
     names = ["width", "height", "levels", "offset", "format", "srgb", "alpha"]
     assert _fields(infos, names) == _fields(rows[TextureInfo], names)

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Two levels of structures: trees of meshes in object space, and one over instances of them.
+
+kernels/wide_instances.py tells what they look like. Both follow what moves without being built anew: their boxes are
+fitted to where things are. Once the boxes together have grown beyond GROWTH they say so, and are built again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..kernels import types
+from ..kernels.cluster_tree import write_areas
+from ..kernels.wide_bvh import TRIANGLE_WORDS
+from ..kernels.wide_bvh_edit import place_triangles
+from ..kernels.wide_instances import RECORD_WORDS
+from ..kernels.wide_instances_edit import MESH_WORDS, write_boxes, write_records
+from .device import launch
+from .staging import RowWriter
+from .wide_bvh import WideBvh, build_forest, build_over, build_wide
+
+__all__ = ["InstanceLevel", "MeshTree", "ObjectTrees"]
+
+ALONE = 50_000
+"""Triangles from which a mesh gets a tree by itself, whose upper levels are mended"""
+
+GROWTH = 1.5
+"""Area of all boxes, as a multiple of what it was when they were built, at which rays are the slower for it"""
+
+
+class _Area:
+    """Area of a tree's boxes, told a while later, as nobody waits for the device."""
+
+    def __init__(self, device: str):
+        self._sum = wp.zeros(1, dtype=float, device=device)
+        self._told = wp.zeros(1, dtype=float, device="cpu", pinned=wp.get_device(device).is_cuda)
+        self._view = self._told.numpy()
+        self._first = 0.0
+
+    def note(self, lower: wp.array, upper: wp.array) -> None:
+        """Add up the boxes, vec3 [N] each."""
+        areas = wp.empty(len(lower), dtype=float, device=lower.device)
+        launch(write_areas, len(lower), [lower, upper], [areas], lower.device.alias)
+        wp.utils.array_sum(areas, out=self._sum)
+        wp.copy(self._told, self._sum)
+
+    @property
+    def outgrown(self) -> bool:
+        """Return whether it has grown too much since it was first known."""
+        now = float(self._view[0])
+        self._first = self._first or now
+        return now > GROWTH * self._first
+
+
+@dataclass(frozen=True)
+class MeshTree:
+    """A mesh's tree in object space."""
+
+    wide: WideBvh
+    root: int
+    """Its node"""
+    faces: int
+    """How many faces of other meshes come before its own"""
+
+    def row(self, first_face: int) -> tuple[int, ...]:
+        """Return words 12 to 17 of a record, where the mesh's faces begin at an entry of Geometry.mesh_faces."""
+        nodes, triangles = self.wide.nodes.ptr, self.wide.triangles.ptr
+        return (nodes & 0xFFFFFFFF, nodes >> 32, triangles & 0xFFFFFFFF, triangles >> 32, self.root,
+                (first_face - self.faces) & 0xFFFFFFFF)
+
+
+class ObjectTrees:
+    """Trees of meshes that are built, and deformed, together."""
+
+    def __init__(self, points: wp.array, parts: list[np.ndarray], *, deforming: bool = False):
+        """Build them.
+
+        Args:
+            points: vec3 [V], in object space.
+            parts: int32 [T, 3] of each mesh, into the points; T > 0.
+            deforming: Whether they shall follow moving vertices.
+
+        Raises:
+            InvalidScene: One has too many triangles.
+        """
+        counts = np.array([len(part) for part in parts], np.int64)
+        self._parts = parts if deforming else []
+        self._built: list[tuple[WideBvh, wp.array, _Area]] = []
+        self.trees: list[MeshTree] = []
+        forest, alone = np.zeros(0, np.int64), np.arange(len(parts))
+        if (counts < ALONE).sum() > 1:
+            forest, alone = np.flatnonzero(counts < ALONE), np.flatnonzero(counts >= ALONE)
+        trees: dict[int, MeshTree] = {}
+        if len(forest):
+            indices = self._upload(points, [parts[i] for i in forest])
+            wide = build_forest(points, indices, counts[forest])
+            if wide is None:
+                alone = np.arange(len(parts))
+            else:
+                self._built.append((wide, indices, _Area(points.device.alias)))
+                first = np.concatenate([[0], np.cumsum(counts[forest])]).tolist()
+                trees = {i: MeshTree(wide, root, first[root]) for root, i in enumerate(forest.tolist())}
+        for i in alone.tolist():
+            indices = self._upload(points, [parts[i]])
+            wide = build_wide(points, indices, splitting=not deforming)
+            self._built.append((wide, indices, _Area(points.device.alias)))
+            trees[i] = MeshTree(wide, 0, 0)
+        if not deforming:
+            self._built.clear()
+        self.trees = [trees[i] for i in range(len(parts))]
+
+    @staticmethod
+    def _upload(points: wp.array, parts: list[np.ndarray]) -> wp.array:
+        return wp.array(np.concatenate(parts).ravel(), dtype=int, device=points.device)
+
+    def follow(self, points: wp.array, parts: list[np.ndarray]) -> bool:
+        """Fit the trees to where their vertices are now; return whether they could.
+
+        They can't where triangles are others than before, or where boxes have grown so much that rays take longer.
+        """
+        same = len(parts) == len(self._parts) and all(
+            np.array_equal(new, old) for new, old in zip(parts, self._parts, strict=True))
+        if not same or any(area.outgrown for _, _, area in self._built):
+            return False
+        for wide, indices, area in self._built:
+            launch(place_triangles, wide.references, [points, indices], [wide.triangles], points.device.alias)
+            area.note(*wide.refit())
+        return True
+
+
+class InstanceLevel:
+    """An 8-wide BVH over instances of meshes with trees."""
+
+    def __init__(
+        self, chosen: np.ndarray, low: np.ndarray, high: np.ndarray, mesh_of: np.ndarray, meshes: np.ndarray,
+        device: str,
+    ):
+        """Build it.
+
+        Args:
+            chosen: int [N], ascending: the instances; N > 0.
+            low: float32 [N, 3], bounds in world space.
+            high: The same.
+            mesh_of: int [N], which mesh each is of.
+            meshes: uint32 [M, 6], MeshTree.row of each.
+            device: Where it is.
+        """
+        self.device, self.chosen, self._low, self._high = device, chosen, low, high
+        self._writer, self._area = RowWriter(wp.vec3, device), _Area(device)
+        self._lower, self._upper = (wp.array(values, dtype=wp.vec3, device=device) for values in (low, high))
+        nodes, self._items, levels = build_over(self._lower, self._upper)
+        boxes = wp.zeros(TRIANGLE_WORDS * len(chosen), dtype=wp.uint32, device=device)
+        self._wide = WideBvh(nodes, boxes, levels, len(chosen), wp.zeros(0, dtype=int, device=device))
+        self._records = wp.zeros(int(RECORD_WORDS) * len(chosen), dtype=wp.uint32, device=device)
+        self._rows = [wp.array(values.astype(np.int32), dtype=int, device=device) for values in (chosen, mesh_of)]
+        self._meshes = wp.array(meshes.reshape(-1, int(MESH_WORDS)).astype(np.uint32), dtype=wp.uint32, device=device)
+
+    def write_records(self, instances: wp.array) -> None:
+        """Take over the transforms of kernels.types.Instance [all], in place."""
+        launch(write_records, len(self.chosen), [self._items, *self._rows, self._meshes, instances], [self._records],
+               self.device)
+
+    def move(self, moved: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+        """Follow instances to other bounds, in place; return whether that could be done.
+
+        It can't where boxes have grown so much that rays take longer.
+
+        Args:
+            moved: int, ascending, all of them among the chosen.
+            low: float32 [len(moved), 3].
+            high: The same.
+        """
+        if self._area.outgrown:
+            return False
+        places = np.searchsorted(self.chosen, moved)
+        for array, values, new in ((self._lower, self._low, low), (self._upper, self._high, high)):
+            values[places] = new
+            self._writer.write(array, values, places)
+        launch(write_boxes, len(self.chosen), [self._items, self._lower, self._upper], [self._wide.triangles],
+               self.device)
+        self._area.note(*self._wide.refit())
+        return True
+
+    def struct(self) -> types.InstanceLevel:
+        """Return it as kernels take it: the same after moves."""
+        level = types.InstanceLevel()
+        level.nodes, level.records = self._wide.nodes.ptr, self._records.ptr
+        return level

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays through instances: an 8-wide BVH in world space over others in object space, each of which many may share.
+
+A node of the upper level is one of wide_bvh.py, with instances in place of triangles. A ray goes through both levels in
+one loop with one stack: at an instance it is turned into object space, and back when nothing is left of that. Its
+direction keeps its length's share, so distances mean the same in both. While some rays of a warp are in the upper
+level and others in the lower, they test boxes together.
+
+What a ray must know of an instance is a record of 20 words, in the leaves' order:
+
+    0..11    rows of the transform from world to object space (float32)
+    12..13   address of the object-space nodes
+    14..15   address of the object-space triangles
+    16       the mesh's root among the nodes
+    17       what is added to a triangle's face
+    18       the instance
+
+Addresses, since meshes are built, edited and dropped one by one.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .wide_query import CLOSEST, MAX_DEPTH, POSTPONE, WAITING, query_source
+
+RECORD_WORDS = wp.constant(20)
+
+InstanceHit = wp.types.vector(length=5, dtype=float)
+"""t, the weights of the first and second vertex, the bits of the face with what its instance adds, the instance's"""
+
+_TRAVERSE_INSTANCES = """
+    if (nodes == 0u)
+        return NOTHING;
+LOADS
+LEAST_AND_MOST
+RAY
+    auto words_at = [](unsigned int low, unsigned int high) -> const wp::uint32* {
+        return reinterpret_cast<const wp::uint32*>((unsigned long long)low | ((unsigned long long)high << 32));
+    };
+    auto along = [&](const Row& m, float x, float y, float z) -> float {
+        return as_float(m.x) * x + as_float(m.y) * y + as_float(m.z) * z;
+    };
+    const wp::uint32* upper_words = reinterpret_cast<const wp::uint32*>(nodes);
+    const wp::uint32* record_words = reinterpret_cast<const wp::uint32*>(records);
+    const wp::uint32* node_words = upper_words;
+    const wp::uint32* triangle_words = nullptr;
+    aim(origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]);
+    float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
+    int best_key = -1, best_instance = -1;
+    int instance = -1, first_face = 0;
+    unsigned long long stack[STACK_SIZE];
+    // Inside an instance the upper level's entries lie below `ground`.
+    int depth = 0, ground = 0;
+    unsigned int group_base = 0u, group = 0x80000000u;
+    while (true) {
+        unsigned int triangle_base, leaves;
+        if (group > 0x00ffffffu) {
+VISIT_NODE
+        } else {
+            triangle_base = group_base;
+            leaves = group;
+            group = 0u;
+        }
+        if (leaves != 0u && instance < 0) {
+            const int bit = highest_bit(leaves);
+            leaves &= ~(1u << bit);
+            // What is left of this level waits.
+            if (group > 0x00ffffffu)
+                stack[depth++] = ((unsigned long long)group_base << 32) | group;
+            if (leaves != 0u)
+                stack[depth++] = ((unsigned long long)triangle_base << 32) | leaves;
+            const unsigned int row = 5u * (triangle_base + bit);
+            const Row m0 = load(record_words, row);
+            const Row m1 = load(record_words, row + 1u);
+            const Row m2 = load(record_words, row + 2u);
+            const Row m3 = load(record_words, row + 3u);
+            const Row m4 = load(record_words, row + 4u);
+            aim(along(m0, ox, oy, oz) + as_float(m0.w), along(m1, ox, oy, oz) + as_float(m1.w),
+                along(m2, ox, oy, oz) + as_float(m2.w), along(m0, dx, dy, dz), along(m1, dx, dy, dz),
+                along(m2, dx, dy, dz));
+            node_words = words_at(m3.x, m3.y);
+            triangle_words = words_at(m3.z, m3.w);
+            first_face = (int)m4.y;
+            instance = (int)m4.z;
+            ground = depth;
+            group_base = m4.x;
+            group = 0x80000000u;
+            leaves = 0u;
+        }
+        while (leaves != 0u) {
+POSTPONE            const int bit = highest_bit(leaves);
+            leaves &= ~(1u << bit);
+TEST_TRIANGLE
+        }
+        if (group <= 0x00ffffffu) {
+            if (depth == ground && instance >= 0) {
+                instance = -1;
+                ground = 0;
+                node_words = upper_words;
+                aim(origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]);
+            }
+            if (depth == 0)
+                break;
+            const unsigned long long entry = stack[--depth];
+            group_base = (unsigned int)(entry >> 32);
+            group = (unsigned int)entry;
+        }
+    }
+"""
+_CLOSEST = CLOSEST + """
+                    best_instance = instance;"""
+_KEY = "first_face + (int)face_word"
+
+
+def _source(found: str, result: str, nothing: str, postpone: str = "", waiting: int = 0) -> str:
+    """Return the native source of a query; `nothing`: what it returns without instances."""
+    return query_source(
+        found, result, postpone.replace("depth < WAITING", f"depth < ground + {waiting}"),
+        # The upper level has as many entries, and one for leaves left of the node that the instance is from.
+        waiting + MAX_DEPTH + 1, _KEY, _TRAVERSE_INSTANCES.replace("NOTHING", nothing))
+
+
+def _hit(*values: str) -> str:
+    return "wp::vec_t<5, wp::float32>({" + ", ".join(values) + "})"
+
+
+@wp.func_native(_source(
+    _CLOSEST,
+    _hit("best_t", "best_u", "best_v", "as_float((unsigned int)best_key)", "as_float((unsigned int)best_instance)"),
+    _hit("t_max", "0.0f", "0.0f", "-1.0f", "-1.0f"), POSTPONE, WAITING))
+def closest_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> InstanceHit:
+    """Return the closest hit among instances; a face below 0 and t_max where there is none.
+
+    In detail:
+        nodes: Address of the upper level's nodes, 0 where there is none.
+        records: Address of its instances' records.
+        returns: As InstanceHit tells.
+    """
+    ...
+
+
+@wp.func_native(_source("return true;", "false", "false"))
+def any_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> bool:
+    """Return whether a triangle of an instance lies closer than t_max."""
+    ...
