@@ -16,6 +16,7 @@ from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
+from .instance_plan import InstancePlan
 from .instance_rows import filtered_groups, instance_bounds, instance_rows, scene_origin, write_places
 from .lamp_tables import LampTables
 from .lamps import lamp_power
@@ -29,7 +30,7 @@ from .report import Report
 from .scene import InstanceTable, Key, LightData, MaterialData, SceneDelta, WorldData
 from .settings import PerformanceSettings
 from .staging import RowWriter, overwrite
-from .structures import InstancePlan, Structures
+from .structures import Structures
 from .tables import albedo_tables, film_table
 from .textures import TextureStore
 from .volumes import SceneVolumes
@@ -165,8 +166,9 @@ class DeviceScene:
                 self.structures.leave_flat(np.union1d(moved, edited).astype(np.int64))
                 self.structures.update_instances(self.plan, self.store, changed_meshes)
             # Always: _plan_instances has filled the rows anew, without the structures' ids.
-            self._upload_instances()
-            self.opacity_maps.update(self, self._assemble, settings.opacity_maps, bool(delta.images))
+            self.structures.fill(self.rows, self.plan, self.store)
+            self._write_instances()
+            self._update_opacity(settings.opacity_maps, bool(delta.images))
         emission_moved = rebuild or self._any_emits(moved) or self._any_emits(edited)
         tell("Lights", 0.9)
         self._assemble()
@@ -233,8 +235,13 @@ class DeviceScene:
     def use_opacity_maps(self, enabled: bool) -> None:
         """Make the opacity maps or take them away where nothing else changes."""
         if self.plan is not None:
-            self.opacity_maps.update(self, self._assemble, enabled, False)
+            self._update_opacity(enabled, False)
             self._assemble()
+
+    def _update_opacity(self, enabled: bool, renewed: bool) -> None:
+        self.opacity_maps.update(self, self._assemble, enabled, renewed)
+        # Maps may have moved triangles.
+        self.structures.place(self.instances)
 
     def _any_emits(self, chosen: np.ndarray) -> bool:
         """Return whether any of the chosen instances may emit light."""
@@ -277,8 +284,7 @@ class DeviceScene:
         old = self.table
         if rebuild or old is None or table.object_keys != old.object_keys:
             return True, np.zeros(0, np.int64)
-        same_meshes = [table.mesh_keys[i] for i in table.mesh_index] == [old.mesh_keys[i] for i in old.mesh_index]
-        if not same_meshes:
+        if [table.mesh_keys[i] for i in table.mesh_index] != [old.mesh_keys[i] for i in old.mesh_index]:
             return True, np.zeros(0, np.int64)
         moved = (table.transforms != old.transforms).any((1, 2))
         return False, np.flatnonzero(moved)
@@ -313,32 +319,26 @@ class DeviceScene:
     def _plan_instances(self) -> bool:
         """Fill the instance rows and the plan; return whether the choice of filtered triangles changed."""
         table, old = self.table, self.plan
-        groups, group_index = filtered_groups(table, self.materials)
+        groups, materials, group_index = filtered_groups(table, self.materials)
         ranges = self._ranges()
         self.material_table.note_used(materials_in_use(table, [r.used_slots for r in ranges], self.drawn))
         self.plan = InstancePlan(
             mesh_keys=table.mesh_keys, mesh_index=np.where(self.drawn, table.mesh_index, -1), filtered_slots=groups,
-            group_index=group_index, low=self.low, high=self.high, scattering=self.material_table.scattering(table))
+            materials=materials, group_index=group_index, low=self.low, high=self.high,
+            scattering=self.material_table.scattering(table))
         self.rows, self._moved_rows = instance_rows(table, ranges, self.origin), np.zeros(0, np.int64)
         counts = np.array([r.triangle_count for r in ranges], np.int64)
         self.triangle_count = int(counts[table.mesh_index[self.drawn]].sum())
         self.emitting = np.array([
             any((self.materials.get(key) or self.materials[None]).has_emission for key in keys)
             for keys in table.material_sets], bool)
-        flat = [self.material_table.index(key) for keys in table.material_sets for key in keys]
-        self.instance_materials = overwrite(self.instance_materials, np.array(flat or [0], np.int32))
-        if old is None or len(old.group_index) != len(group_index):
-            return True
-        return [old.filtered_slots[i] for i in old.group_index] != [groups[i] for i in group_index]
+        rows = [self.material_table.index(key) for keys in table.material_sets for key in keys] or [0]
+        self.instance_materials = overwrite(self.instance_materials, np.array(rows, np.int32))
+        return old is None or not self.plan.filters_as(old, by_material=self.structures.levels.filtered is not None)
 
     def _write_instances(self) -> None:
         if len(self.rows):
             self.instances = overwrite(self.instances, self.rows)
-
-    def _upload_instances(self) -> None:
-        self.structures.fill(self.rows, self.plan, self.store)
-        self._write_instances()
-        self.structures.place(self.instances)
 
     def _drop_unused_meshes(self) -> None:
         for key in set(self.store.ranges) - set(self.plan.mesh_keys):

@@ -11,8 +11,8 @@ import warp as wp
 from ..kernels import types
 from ..kernels.flatten import measure_emitters
 from .geometry_store import GeometryStore
+from .instance_plan import InstancePlan
 from .scene import InstanceTable, Key, MaterialData
-from .structures import InstancePlan
 
 __all__ = ["EmitterTable", "find_emitters"]
 

@@ -75,13 +75,16 @@ class MeshTree:
 class ObjectTrees:
     """Trees of meshes that are built, and deformed, together."""
 
-    def __init__(self, points: wp.array, parts: list[np.ndarray], *, deforming: bool = False):
+    def __init__(
+        self, points: wp.array, parts: list[np.ndarray], *, deforming: bool = False, splitting: bool = True,
+    ):
         """Build them.
 
         Args:
             points: vec3 [V], in object space.
             parts: int32 [T, 3] of each mesh, into the points; T > 0.
             deforming: Whether they shall follow moving vertices.
+            splitting: Whether large slanted triangles of large meshes may get several references, where that pays.
 
         Raises:
             InvalidScene: One has too many triangles.
@@ -105,7 +108,7 @@ class ObjectTrees:
                 trees = {i: MeshTree(wide, root, first[root]) for root, i in enumerate(forest.tolist())}
         for i in alone.tolist():
             indices = self._upload(points, [parts[i]])
-            wide = build_wide(points, indices, splitting=not deforming)
+            wide = build_wide(points, indices, splitting=splitting and not deforming)
             self._built.append((wide, indices, _Area(points.device.alias)))
             trees[i] = MeshTree(wide, 0, 0)
         if not deforming:
@@ -135,8 +138,8 @@ class InstanceLevel:
     """An 8-wide BVH over instances of meshes with trees."""
 
     def __init__(
-        self, chosen: np.ndarray, low: np.ndarray, high: np.ndarray, mesh_of: np.ndarray, meshes: np.ndarray,
-        device: str,
+        self, chosen: np.ndarray, low: np.ndarray, high: np.ndarray, mesh_of: np.ndarray,
+        trees: list[tuple[MeshTree, int] | None], device: str,
     ):
         """Build it.
 
@@ -145,7 +148,7 @@ class InstanceLevel:
             low: float32 [N, 3], bounds in world space.
             high: The same.
             mesh_of: int [N], which mesh each is of.
-            meshes: uint32 [M, 6], MeshTree.row of each.
+            trees: Of each mesh, and where its faces begin in Geometry.mesh_faces; None: no instance is of it.
             device: Where it is.
         """
         self.device, self.chosen, self._low, self._high = device, chosen, low, high
@@ -156,10 +159,15 @@ class InstanceLevel:
         self._wide = WideBvh(nodes, boxes, levels, len(chosen), wp.zeros(0, dtype=int, device=device))
         self._records = wp.zeros(int(RECORD_WORDS) * len(chosen), dtype=wp.uint32, device=device)
         self._rows = [wp.array(values.astype(np.int32), dtype=int, device=device) for values in (chosen, mesh_of)]
-        self._meshes = wp.array(meshes.reshape(-1, int(MESH_WORDS)).astype(np.uint32), dtype=wp.uint32, device=device)
+        self._trees, self._known = trees, np.zeros((len(trees), int(MESH_WORDS)), np.uint32)
+        self._meshes = wp.array(self._known, dtype=wp.uint32, device=device)
 
     def write_records(self, instances: wp.array) -> None:
-        """Take over the transforms of kernels.types.Instance [all], in place."""
+        """Take over the transforms of kernels.types.Instance [all], and where trees lie, in place."""
+        known = np.array([(0,) * int(MESH_WORDS) if tree is None else tree[0].row(tree[1]) for tree in self._trees])
+        if not np.array_equal(known, self._known):
+            self._known = known.astype(np.uint32)
+            self._meshes.assign(self._known)
         launch(write_records, len(self.chosen), [self._items, *self._rows, self._meshes, instances], [self._records],
                self.device)
 

@@ -69,8 +69,8 @@ def stops_all(table: InstanceTable) -> np.ndarray:
 
 def filtered_groups(
     table: InstanceTable, materials: dict[Key, MaterialData],
-) -> tuple[list[tuple[bool, ...]], np.ndarray]:
-    """Return the distinct tuples of filtered slots, and int64 [N], which of them each instance has."""
+) -> tuple[list[tuple[bool, ...]], list[tuple[Key, ...]], np.ndarray]:
+    """Return groups of instances: which slots are filtered, their materials, and int64 [N], each instance's group."""
     transparent = [
         tuple(materials.get(key, materials[None]).has_transparency for key in keys) for keys in table.material_sets]
     partial = ~stops_all(table)
@@ -80,7 +80,7 @@ def filtered_groups(
     for value in values.tolist():
         slots = transparent[value // 2]
         groups.append(tuple(True for _ in slots) if value % 2 else slots)
-    return groups, group_index.astype(np.int64)
+    return groups, [tuple(table.material_sets[value // 2]) for value in values.tolist()], group_index.astype(np.int64)
 
 
 def instance_rows(table: InstanceTable, ranges: list[MeshRange], origin: np.ndarray) -> np.ndarray:

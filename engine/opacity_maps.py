@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Opacity micromaps of the flattened triangles that need a test per hit: made on the device, renewed when due.
+"""Opacity micromaps of the triangles that need a test per hit: made on the device, renewed when due.
 
 Rays then decide most hits on leaves and grilles while they traverse the structure (kernels/wide_bvh.py). Near the
 outlines they look the mask's image up themselves where it has 8 bits (kernels/opacity_answers.py), and know how much
 passes where that is the same everywhere; else the material's program runs. Where no triangle is left to programs,
-passes leave out what runs them (structures.decides_layers). Instances in the second level have none of it: Warp's
-queries there know no filter. Scenes without masked materials neither keep nor launch anything.
+passes leave out what runs them (structures.decides_layers). Instances in object space share their mesh's maps; meshes
+that were edited have none. Scenes without masked materials neither keep nor launch anything.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from ..kernels.opacity_pieces import AlphaMask
 from ..kernels.types import Scene
 from ..kernels.wide_bvh import TRIANGLE_WORDS
 from .alpha_masks import MaskedBy, find_mask
+from .flat_structure import FlatStructure
 from .instance_rows import stops_all
 from .opacity_answers import Answers, plan_answers
-from .structures import FlatStructure
 from .wide_bvh import WideBvh, launch_bands
 
 if TYPE_CHECKING:
@@ -69,18 +69,17 @@ class _Plan:
 
 
 class OpacityMaps:
-    """Keeps the maps in a scene's structure up to date."""
+    """Keeps the maps in a scene's structures up to date."""
 
     def __init__(self, device: str) -> None:
         """Start without any."""
         self.device = device
-        self.bytes = 0
-        """Device memory of the maps"""
-        self._known: weakref.ref[WideBvh] | None = None
-        """The structure that has been looked at; its memory may be needed for the next one"""
-        self._flat = np.zeros(0, bool)
-        self._plan: _Plan | None = None
-        """What the maps in the structure are for, None without any"""
+        self._maps: list[_Maps] = []
+
+    @property
+    def bytes(self) -> int:
+        """Return the device memory of the maps."""
+        return sum(maps.bytes for maps in self._maps)
 
     def update(self, source: DeviceScene, scene: Callable[[], Scene], enabled: bool, renewed: bool) -> None:
         """Make the maps of a scene where they are not there yet, or take them away.
@@ -91,13 +90,37 @@ class OpacityMaps:
             enabled: PerformanceSettings.opacity_maps.
             renewed: Whether images have changed.
         """
-        flat = source.structures.filtered
-        if flat.wide is None:
-            self._known, self._plan, self.bytes = None, None, 0
-            return
-        if self._known is None or self._known() is not flat.wide:
-            self._known, self._plan, self.bytes = weakref.ref(flat.wide), None, 0
-            self._flat = np.isin(np.arange(len(source.rows)), list(source.structures.flat))
+        known, self._maps = self._maps, []
+        for flat, among in source.structures.masked():
+            maps = next((maps for maps in known if maps.wide() is flat.wide), None)
+            if maps is None:
+                members = np.zeros(len(source.rows), bool)
+                members[among] = True
+                maps = _Maps(flat.wide, members, self.device)
+            self._maps.append(maps)
+            maps.update(flat, source, scene, enabled, renewed)
+
+
+class _Maps:
+    """Keeps the maps in one structure up to date."""
+
+    def __init__(self, wide: WideBvh, members: np.ndarray, device: str) -> None:
+        """Start without any.
+
+        Args:
+            wide: The structure; its memory may be needed for the next one.
+            members: bool [N], the instances whose triangles it has.
+            device: Where it is.
+        """
+        self.wide, self.device, self.bytes = weakref.ref(wide), device, 0
+        self._members = members
+        self._plan: _Plan | None = None
+        """What the maps in the structure are for, None without any"""
+
+    def update(
+        self, flat: FlatStructure, source: DeviceScene, scene: Callable[[], Scene], enabled: bool, renewed: bool,
+    ) -> None:
+        """Do as OpacityMaps.update for the structure."""
         plan = self._choose(source) if enabled else None
         if plan is None and self._plan is not None:
             bases = np.full(len(source.rows), -1, np.int32)
@@ -107,7 +130,7 @@ class OpacityMaps:
             self._mark(flat, scene(), bases, [*masks, none, none, none, none, 0])
             self.bytes = 0
         elif plan is not None and (renewed or not plan.equals(self._plan)):
-            self._make(source, scene(), plan)
+            self._make(flat, source, scene(), plan)
         self._plan = plan
 
     def _choose(self, source: DeviceScene) -> _Plan | None:
@@ -128,14 +151,14 @@ class OpacityMaps:
         masked = np.array([any(key in masks for key in keys) for keys in table.material_sets], bool)
         # Objects that some rays don't see are no obstacle to those.
         seen = stops_all(table)
-        chosen = np.flatnonzero(masked[table.material_set_index] & seen & self._flat & (source.plan.mesh_index >= 0))
+        chosen = np.flatnonzero(masked[table.material_set_index] & seen & self._members & (source.plan.mesh_index >= 0))
         sets = len(table.material_sets)
         groups = source.plan.mesh_index[chosen].astype(np.int64) * sets + table.material_set_index[chosen]
         return _Plan(masks, chosen, groups) if len(chosen) else None
 
-    def _make(self, source: DeviceScene, scene: Scene, plan: _Plan) -> None:
+    def _make(self, flat: FlatStructure, source: DeviceScene, scene: Scene, plan: _Plan) -> None:
         """Make all maps and answers."""
-        table, flat, device = source.table, source.structures.filtered, self.device
+        table, device = source.table, self.device
         groups, examples, members = np.unique(plan.groups, return_index=True, return_inverse=True)
         meshes = (groups // len(table.material_sets)).tolist()
         counts = np.array([source.store.ranges[source.plan.mesh_keys[mesh]].triangle_count for mesh in meshes])

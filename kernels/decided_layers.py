@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays where they decide by themselves what stops them of the triangles that need a test (opacity_answers.py).
 
-Flattened scenes alone. One look through all layers takes the place of lists, of materials' programs, and of a query
-from each layer on: see layers.py and shadow_layers.py, whose answers these are. See flat_tracing.py about registers.
+Flattened scenes alone; decided_instances.py has these kernels for others. One look through all layers takes the place
+of lists, of materials' programs, and of a query from each layer on: see layers.py and shadow_layers.py, whose answers
+these are. See flat_tracing.py about registers.
 """
 
 from __future__ import annotations
@@ -49,18 +50,23 @@ def stopping_hit(geometry: Geometry, found: LayerHit) -> Hit:
 
 
 @wp.func
+def stop_at(paths: Paths, slot: int, hit: Hit, passing: float):
+    """Let a layer that lets some light pass stop a ray, or none."""
+    if hit.instance != MISS:
+        store_hit(paths, slot, hit)
+        # The rest of its closures make up for the rays that pass.
+        paths.throughput[slot] = paths.throughput[slot] / (1.0 - passing)
+    paths.layer[slot] = wp.vec2i(MISS, 0)
+
+
+@wp.func
 def meet_layers(geometry: Geometry, paths: Paths, slot: int):
     """Let layers before a ray's hit stop it by chance; see filter.accept_hit."""
     seed = hash_combine(paths.seed[slot], wp.uint32(paths.state[slot] + LAYER_STREAM))
     found = chance_layer_wide(
         geometry.flat_filtered.nodes, geometry.flat_filtered.triangles, paths.origin[slot], paths.direction[slot],
         load_hit(paths, slot).t, hash_combine(seed, paths.index[slot]))
-    hit = stopping_hit(geometry, found)
-    if hit.instance != MISS:
-        store_hit(paths, slot, hit)
-        # The rest of its closures make up for the rays that pass.
-        paths.throughput[slot] = paths.throughput[slot] / (1.0 - found[4])
-    paths.layer[slot] = wp.vec2i(MISS, 0)
+    stop_at(paths, slot, stopping_hit(geometry, found), found[4])
 
 
 @wp.kernel(cuda_max_registers=64)

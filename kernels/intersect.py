@@ -16,7 +16,13 @@ import warp as wp
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_normal, transform_point
 from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, InstanceLevel, Scene, ShadingPoint
 from .wide_bvh import any_wide, closest_wide
-from .wide_instances import any_in_instances, closest_in_instances
+from .wide_instances import (
+    InstanceHit,
+    any_in_instances,
+    closest_in_instances,
+    closest_layer_in_instances,
+    shadow_layer_in_instances,
+)
 from .wide_layers import closest_layer_wide, shadow_layer_wide
 from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
 
@@ -132,6 +138,21 @@ def closest_instanced(
 
 
 @wp.func
+def instanced_layer(geometry: Geometry, found: InstanceHit, flat: Layer) -> Layer:
+    """Return an instance's triangle that needs a test where one was found before the flattened one."""
+    layer = flat
+    key = wp.cast(found[3], int)
+    if key >= 0:
+        layer.hit.t = found[0]
+        layer.hit.instance = wp.cast(found[4], int)
+        layer.hit.triangle = geometry.mesh_faces[key >> 1]
+        layer.hit.u = found[2]
+        layer.hit.v = 1.0 - found[1] - found[2]
+        layer.solid = key & 1
+    return layer
+
+
+@wp.func
 def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: float) -> Hit:
     """Return the closest opaque hit before t_max."""
     hit = Hit()
@@ -143,13 +164,10 @@ def closest_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: 
 
 @wp.func
 def closer_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, flat: Layer) -> Layer:
-    """Return an instance's triangle that needs a test where it is closer than the flattened one; it has no map."""
-    layer = flat
-    layer.hit = closest_instanced(
-        geometry.instanced_filtered, geometry.mesh_faces, origin, direction, flat.hit)
-    if layer.hit.t < flat.hit.t:
-        layer.solid = 0
-    return layer
+    """Return an instance's triangle that needs a test where it is closer than the flattened one."""
+    level = geometry.instanced_filtered
+    return instanced_layer(geometry, closest_layer_in_instances(
+        level.nodes, level.records, origin, direction, flat.hit.t), flat)
 
 
 @wp.func
@@ -165,7 +183,9 @@ def shadow_layer(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max:
     layer = static_shadow_layer(geometry.flat_filtered, origin, direction, t_max)
     if layer.solid == 1:
         return layer
-    return closer_layer(geometry, origin, direction, layer)
+    level = geometry.instanced_filtered
+    return instanced_layer(geometry, shadow_layer_in_instances(
+        level.nodes, level.records, origin, direction, layer.hit.t), layer)
 
 
 @wp.func

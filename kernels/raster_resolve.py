@@ -154,7 +154,7 @@ def trace_veils(
         i = i + stride
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def trace_instanced_veils(
     # In:
     first: int,

@@ -135,6 +135,8 @@ class InstanceLevel:
     nodes: wp.uint64
     """Address, 0 where there are none"""
     records: wp.uint64
+    decided: int
+    """As FlatTriangles.decided"""
 
 
 @wp.struct

@@ -22,12 +22,16 @@ from __future__ import annotations
 
 import warp as wp
 
+from .wide_layers import CHANCE_LAYER, CLOSEST_LAYER, PASSING_LAYER, shadow_layer
 from .wide_query import CLOSEST, MAX_DEPTH, POSTPONE, WAITING, query_source
 
 RECORD_WORDS = wp.constant(20)
 
 InstanceHit = wp.types.vector(length=5, dtype=float)
 """t, the weights of the first and second vertex, the bits of the face with what its instance adds, the instance's"""
+
+InstanceLayerHit = wp.types.vector(length=6, dtype=float)
+"""The same, and the share that passes where it was hit"""
 
 _TRAVERSE_INSTANCES = """
     if (nodes == 0u)
@@ -108,27 +112,36 @@ TEST_TRIANGLE
         }
     }
 """
-_CLOSEST = CLOSEST + """
-                    best_instance = instance;"""
 _KEY = "first_face + (int)face_word"
+# Its lowest bit tells whether a layer's map says that it is solid.
+_LAYER_KEY = "2 * (first_face + (int)face_word)"
 
 
-def _source(found: str, result: str, nothing: str, postpone: str = "", waiting: int = 0) -> str:
+def _source(
+    found: str, result: str, nothing: str, *, postponing: bool = False, key: str = _KEY,
+) -> str:
     """Return the native source of a query; `nothing`: what it returns without instances."""
+    postpone, waiting = (POSTPONE, WAITING) if postponing else ("", 0)
     return query_source(
         found, result, postpone.replace("depth < WAITING", f"depth < ground + {waiting}"),
         # The upper level has as many entries, and one for leaves left of the node that the instance is from.
-        waiting + MAX_DEPTH + 1, _KEY, _TRAVERSE_INSTANCES.replace("NOTHING", nothing))
+        waiting + MAX_DEPTH + 1, key, _TRAVERSE_INSTANCES.replace("NOTHING", nothing))
 
 
 def _hit(*values: str) -> str:
-    return "wp::vec_t<5, wp::float32>({" + ", ".join(values) + "})"
+    return f"wp::vec_t<{len(values)}, wp::float32>({{" + ", ".join(values) + "})"
 
 
-@wp.func_native(_source(
-    _CLOSEST,
-    _hit("best_t", "best_u", "best_v", "as_float((unsigned int)best_key)", "as_float((unsigned int)best_instance)"),
-    _hit("t_max", "0.0f", "0.0f", "-1.0f", "-1.0f"), POSTPONE, WAITING))
+_FOUND = ("best_t", "best_u", "best_v", "as_float((unsigned int)best_key)", "as_float((unsigned int)best_instance)")
+_NONE = ("t_max", "0.0f", "0.0f", "-1.0f", "-1.0f")
+
+
+def _with_instance(found: str) -> str:
+    """Return what to do at a hit that is kept, with its instance kept too."""
+    return found.replace("best_t = t;", "best_t = t; best_instance = instance;")
+
+
+@wp.func_native(_source(_with_instance(CLOSEST), _hit(*_FOUND), _hit(*_NONE), postponing=True))
 def closest_in_instances(
     nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> InstanceHit:
@@ -147,4 +160,43 @@ def any_in_instances(
     nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> bool:
     """Return whether a triangle of an instance lies closer than t_max."""
+    ...
+
+
+@wp.func_native(_source(
+    _with_instance(CLOSEST_LAYER), _hit(*_FOUND), _hit(*_NONE), postponing=True, key=_LAYER_KEY))
+def closest_layer_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> InstanceHit:
+    """Return the closest hit where a triangle is not known to be clear; see wide_layers.closest_layer_wide."""
+    ...
+
+
+@wp.func_native(_source(
+    _with_instance(shadow_layer(_hit(
+        "t", "u * scale", "v * scale", "as_float((unsigned int)(KEY + 1))", "as_float((unsigned int)instance)"))),
+    _hit(*_FOUND), _hit(*_NONE), postponing=True, key=_LAYER_KEY))
+def shadow_layer_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> InstanceHit:
+    """Return the same for rays that any solid triangle ends; see wide_layers.shadow_layer_wide."""
+    ...
+
+
+@wp.func_native("    float through = 1.0f;\n" + _source(PASSING_LAYER, "through", "1.0f"))
+def passing_layers_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> float:
+    """Return what share of light instances' layers let through together; see wide_layers.passing_layers_wide."""
+    ...
+
+
+# Instances of a mesh decide each for itself.
+@wp.func_native("    float best_passing = 0.0f;\n" + _source(
+    _with_instance(CHANCE_LAYER).replace("(face_word *", "((face_word ^ ((unsigned int)instance * 0x27D4EB2Fu)) *"),
+    _hit(*_FOUND, "best_passing"), _hit(*_NONE, "0.0f"), postponing=True))
+def chance_layer_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float, seed: wp.uint32,
+) -> InstanceLayerHit:
+    """Return the closest of instances' layers that stops a ray; see wide_layers.chance_layer_wide."""
     ...

@@ -11,7 +11,10 @@ import warp as wp
 from . import wide_bvh
 from .wide_query import POSTPONE, RESULT, WAITING, query_source
 
-__all__ = ["LayerHit", "chance_layer_wide", "closest_layer_wide", "passing_layers_wide", "shadow_layer_wide"]
+__all__ = [
+    "CHANCE_LAYER", "CLOSEST_LAYER", "PASSING_LAYER", "LayerHit", "chance_layer_wide", "closest_layer_wide",
+    "passing_layers_wide", "shadow_layer", "shadow_layer_wide",
+]
 
 LayerHit = wp.types.vector(length=5, dtype=float)
 """t, the weights of the first and second vertex, the face's bits, and the share that passes where it was hit"""
@@ -84,29 +87,33 @@ _LAYER = """unsigned int opacity = opacity_word >> 30;
                     """
 for _name in ("ANSWER_CONSTANT", "ANSWER_IMAGE", "ANSWER_STEPS", "IMAGE_BORDER", "PLACE_WORDS"):
     _LAYER = _LAYER.replace(_name, str(int(getattr(wide_bvh, _name))))
-_CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
+CLOSEST_LAYER = _LAYER + """if (opacity != 1u) {
                         best_t = t;
                         best_u = u * scale;
                         best_v = v * scale;
                         best_key = KEY + (opacity == 2u ? 1 : 0);
                     }"""
-_SHADOW_LAYER = _LAYER + """if (opacity == 2u)
-                        return wp::vec4(t, u * scale, v * scale, as_float((unsigned int)(KEY + 1)));
-                    if (opacity == 0u) {
+
+
+def shadow_layer(solid: str) -> str:
+    """Return what to do at a hit: end with `solid`, what to return there, or keep the closest."""
+    return _LAYER + f"""if (opacity == 2u)
+                        return {solid};
+                    if (opacity == 0u) {{
                         best_t = t;
                         best_u = u * scale;
                         best_v = v * scale;
                         best_key = KEY;
-                    }"""
+                    }}"""
 
 
 # All layers let some through or none.
-_PASSING_LAYER = _LAYER + """if (opacity == 2u)
+PASSING_LAYER = _LAYER + """if (opacity == 2u)
                         return 0.0f;
                     if (opacity == 0u)
                         through *= passing;"""
 # Whether a layer stops the ray is a random number of ray and face, so that layers may be met in any order.
-_CHANCE_LAYER = _LAYER + """bool stops = opacity == 2u;
+CHANCE_LAYER = _LAYER + """bool stops = opacity == 2u;
                     if (opacity == 0u) {
                         unsigned int bits = seed ^ (face_word * 0x9E3779B9u + 0x85EBCA6Bu);
                         bits = (bits ^ (bits >> 16)) * 0x7FEB352Du;
@@ -125,7 +132,7 @@ _LAYER_HIT = """wp::vec_t<5, wp::float32>({
         best_t, best_u, best_v, as_float((unsigned int)best_key), best_passing})"""
 
 
-@wp.func_native(query_source(_CLOSEST_LAYER, RESULT, POSTPONE, WAITING, _LAYER_KEY))
+@wp.func_native(query_source(CLOSEST_LAYER, RESULT, POSTPONE, WAITING, _LAYER_KEY))
 def closest_layer_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec4:
@@ -136,7 +143,9 @@ def closest_layer_wide(
     ...
 
 
-@wp.func_native(query_source(_SHADOW_LAYER, RESULT, POSTPONE, WAITING, _LAYER_KEY))
+@wp.func_native(query_source(
+    shadow_layer("wp::vec4(t, u * scale, v * scale, as_float((unsigned int)(KEY + 1)))"), RESULT, POSTPONE, WAITING,
+    _LAYER_KEY))
 def shadow_layer_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec4:
@@ -144,7 +153,7 @@ def shadow_layer_wide(
     ...
 
 
-@wp.func_native("    float through = 1.0f;\n" + query_source(_PASSING_LAYER, "through"))
+@wp.func_native("    float through = 1.0f;\n" + query_source(PASSING_LAYER, "through"))
 def passing_layers_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> float:
@@ -152,7 +161,7 @@ def passing_layers_wide(
     ...
 
 
-@wp.func_native("    float best_passing = 0.0f;\n" + query_source(_CHANCE_LAYER, _LAYER_HIT, POSTPONE, WAITING))
+@wp.func_native("    float best_passing = 0.0f;\n" + query_source(CHANCE_LAYER, _LAYER_HIT, POSTPONE, WAITING))
 def chance_layer_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
     seed: wp.uint32,

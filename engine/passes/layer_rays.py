@@ -8,6 +8,7 @@ import warp as wp
 from ...kernels import (
     cache_rays,
     compaction,
+    decided_instances,
     decided_layers,
     flat_tracing,
     layers,
@@ -32,7 +33,9 @@ def record_hits(
 ) -> None:
     """Record finding what rays meet; `filtered`: whether any triangle needs a test; else as record_layers."""
     if filtered and decides_layers(scene):
-        graph.launch(decided_layers.trace_decided_rays, count, [scene, offset], [paths])
+        graph.launch(
+            decided_layers.trace_decided_rays if is_flat(scene) else decided_instances.trace_all_decided_rays, count,
+            [scene, offset], [paths])
         return
     trace = flat_tracing.trace_flat_rays if is_flat(scene) else cache_rays.trace_cache_rays
     graph.launch(trace, count, [scene, offset], [paths])
@@ -83,7 +86,8 @@ def record_shadow_layers(
     shadows = [scene, make_options(filtered=True), one_number(bounces, graph.device)]
     decided = decides_layers(scene)
     if decided:
-        trace = decided_layers.trace_decided_shadows
+        trace = (decided_layers.trace_decided_shadows if is_flat(scene)
+                 else decided_instances.trace_all_decided_shadows)
     else:
         trace = flat_tracing.trace_flat_shadow_layers if is_flat(scene) else tracing.trace_shadow_layers
     if under_way is not None:

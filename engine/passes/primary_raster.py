@@ -13,8 +13,9 @@ from ...kernels.gbuffer_rays import PrimaryHits
 from ...kernels.pixel_order import PIXEL_BLOCK
 from ...kernels.raster import RasterLists, Visibility
 from ...kernels.types import FlatTriangles, Scene
+from ..flat_structure import FlatStructure
 from ..frame_graph import FrameGraph
-from ..structures import FlatStructure, Structures, is_flat
+from ..structures import Structures
 from ..work_list import make_work_list
 
 __all__ = ["PrimaryRaster", "count_in_blocks"]
@@ -71,10 +72,10 @@ class PrimaryRaster:
         view = [views, scene, self.width]
         graph.launch(
             raster_resolve.resolve_hits, in_blocks, [*view, self.height, int(filtered), self.seen], [hits])
-        if not is_flat(scene):
+        if int(geometry.instanced.nodes) != 0:
             graph.launch(raster_resolve.resolve_instances, in_blocks, [*view, self.height], [hits])
-            if filtered:
-                graph.launch(raster_resolve.trace_instanced_veils, count, [*view, self.seen], [hits])
+        if int(geometry.instanced_filtered.nodes) != 0:
+            graph.launch(raster_resolve.trace_instanced_veils, count, [*view, self.seen], [hits])
         elif filtered:
             graph.fill_list(raster_resolve.append_veiled, in_blocks, [self.seen, self.width, self.height], self.veiled)
             graph.launch_listed(raster_resolve.trace_veils, [*view, self.seen], self.veiled, [hits])

@@ -13,6 +13,7 @@ import warp as wp
 from ...kernels import (
     cache_cells,
     compaction,
+    decided_instances,
     decided_layers,
     flat_tracing,
     fog_rays,
@@ -269,7 +270,9 @@ class ReflectionPass:
         """Record finding what further segments of the rays under way meet."""
         scene, paths = what.scene, self.paths
         if what.filtered and decides_layers(scene):
-            graph.launch_listed(decided_layers.trace_decided_further, [scene], self.living, [paths], few=True)
+            trace = (decided_layers.trace_decided_further if is_flat(scene)
+                     else decided_instances.trace_all_decided_further)
+            graph.launch_listed(trace, [scene], self.living, [paths], few=True)
             return
         trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
         graph.launch_listed(trace, [scene, int(what.filtered)], self.living, [paths], few=True)
@@ -280,7 +283,9 @@ class ReflectionPass:
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
         """Record following the rays that are still under way to their ends, over so many segments in all."""
         paths, outputs = self.paths, [self.rays, self.paths, self.vertices]
-        layers = reflection_tail.TAIL_LAYERS_DECIDED if decides_layers(what.scene) else reflection_tail.TAIL_LAYERS
+        # Of instances programs decide for the few rays that come so far: one more way would cost all scenes registers.
+        decided = decides_layers(what.scene) and int(what.scene.geometry.instanced_filtered.nodes) == 0
+        layers = reflection_tail.TAIL_LAYERS_DECIDED if decided else reflection_tail.TAIL_LAYERS
         last = [segments, int(layers) if what.filtered else 0]
         with graph.section(self._section("materials")):
             graph.fill_list(compaction.append_living, self.blocks, [paths.state, self.queue], self.living)

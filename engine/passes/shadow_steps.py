@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from ...kernels import (
+    decided_instances,
     decided_layers,
     flat_paths,
     path_lists,
@@ -34,7 +35,9 @@ def shadow_steps(
     """
     shadows, steps = [scene, options, slot.rounds], []
     if options.filtered == 1 and decides_layers(scene):
-        steps.append(Step(decided_layers.trace_decided_shadows, shadows, over))
+        trace = (decided_layers.trace_decided_shadows if is_flat(scene)
+                 else decided_instances.trace_all_decided_shadows)
+        steps.append(Step(trace, shadows, over))
     elif is_flat(scene):
         steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, over, fills=(layered,)))
     else:

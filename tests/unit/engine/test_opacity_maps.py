@@ -301,9 +301,12 @@ def test_scenes_without_masks_do_without(monkeypatch: pytest.MonkeyPatch) -> Non
     made = opened(masked())
     assert launches and made.opacity_maps.bytes > 0
     # Nothing that they depend on has changed.
-    launches.clear()
-    made.apply(SceneDelta(instances=scenes.instances([("leaves", scenes.place(x=0.1), "leaf")])), PerformanceSettings())
-    assert launches == []
+    for first in (True, False):
+        # What moves gets a tree of its own, and maps with it.
+        launches.clear()
+        made.apply(SceneDelta(instances=scenes.instances([
+            ("leaves", scenes.place(x=0.1 if first else 0.2), "leaf")])), PerformanceSettings())
+        assert bool(launches) == first and made.opacity_maps.bytes > 0
 
 
 def test_objects_that_some_rays_do_not_see_have_none() -> None:

@@ -160,9 +160,9 @@ def test_many_meshes_share_a_forest(monkeypatch: pytest.MonkeyPatch) -> None:
               for i, key in enumerate(shapes) for k in range(2)]
     made, settings = DeviceScene(DEVICE), PerformanceSettings(instancing_threshold=1.0)
     made.apply(scenes.delta(shapes, placed, MATERIALS), settings)
-    assert not made.structures.flat and len(made.structures.local) == len(shapes)
-    trees = [local.opaque or local.filtered for local in made.structures.local.values()]
-    assert 1 < len({id(tree.wide) for tree in trees}) < len(trees), "some have a tree by themselves, some share one"
+    assert not made.structures.flat and len(made.structures.levels.local) == len(shapes)
+    trees = [part.tree for local in made.structures.levels.local.values() for part in local.parts if part.tree]
+    assert 2 < len({id(tree.wide) for tree in trees}) < len(trees), "some have a tree by themselves, some share one"
     check(made, shapes, placed)
     moved = [(key, scenes.place(z=0.1) @ matrix, material) for key, matrix, material in placed[:4]] + placed[4:]
     made.apply(SceneDelta(instances=scenes.instances(moved)), settings)
@@ -177,7 +177,7 @@ def test_a_forest_too_deep_gives_way_to_trees(monkeypatch: pytest.MonkeyPatch) -
     placed = [(key, scenes.place(x=i, y=k), "grey") for i, key in enumerate(shapes) for k in range(2)]
     made = DeviceScene(DEVICE)
     made.apply(scenes.delta(shapes, placed, MATERIALS), PerformanceSettings(instancing_threshold=1.0))
-    assert len({id(local.opaque.wide) for local in made.structures.local.values()}) == 3
+    assert len({id(local.opaque.tree.wide) for local in made.structures.levels.local.values()}) == 3
     check(made, shapes, placed)
 
 
@@ -189,8 +189,9 @@ def test_a_mesh_that_keeps_deforming_keeps_its_tree() -> None:
         shapes = meshes(10, radius)
         made.apply(SceneDelta(meshes={"ball": shapes["ball"]}), PerformanceSettings())
         check(made, shapes, objects())
-        seen.append([(tree.wide.nodes.ptr, made.structures.level.struct().nodes)
-                     for local in made.structures.local.values() for tree in (local.opaque, local.filtered) if tree])
+        levels = made.structures.levels
+        seen.append([(part.tree.wide.nodes.ptr, levels.opaque.struct().nodes)
+                     for local in levels.local.values() for part in local.parts if part.tree])
     assert seen[0] == seen[1] == seen[2] == seen[3] != seen[4]
 
 
@@ -204,12 +205,12 @@ def test_instances_that_scatter_get_a_new_level() -> None:
         moved = replace(made.table, transforms=scenes.instances(placed).transforms)
         made.apply(SceneDelta(instances=moved), PerformanceSettings())
         check(made, meshes(), placed)
-        nodes.append(made.structures.level.struct().nodes)
+        nodes.append(made.structures.levels.opaque.struct().nodes)
     assert nodes[0] == nodes[1] == nodes[2] == nodes[3]
     placed = [(key, scenes.place(z=0.01) @ matrix, material) for key, matrix, material in placed]
     made.apply(SceneDelta(instances=replace(made.table, transforms=scenes.instances(placed).transforms)),
                PerformanceSettings())
-    assert made.structures.level.struct().nodes != nodes[3]
+    assert made.structures.levels.opaque.struct().nodes != nodes[3]
     check(made, meshes(), placed)
 
 
