@@ -198,11 +198,11 @@ def test_claims_hold_for_other_texels(kind: type) -> None:
 
 def test_each_mesh_has_its_own_maps() -> None:
     """Claim of each of several meshes what its own material and coordinates say."""
-    delta = scenes.delta(
-        {"leaves": leaves(), "others": leaves(30, seed=6), "plane": scenes.quad(3.0)},
-        [("plane", np.eye(4), "clear"), ("leaves", np.eye(4), "leaf"), ("others", np.eye(4), "leaf"),
-         ("leaves", scenes.place(y=2.0), "coarse")],
-        {"leaf": masked(0.3), "coarse": masked(0.6, channel=1), "clear": scenes.transparent(1.0)})
+    meshes = {"leaves": leaves(), "others": leaves(30, seed=6), "plane": scenes.quad(3.0)}
+    placed = [("plane", np.eye(4), "clear"), ("leaves", np.eye(4), "leaf"), ("others", np.eye(4), "leaf"),
+              ("leaves", scenes.place(y=2.0), "coarse")]
+    materials = {"leaf": masked(0.3), "coarse": masked(0.6, channel=1), "clear": scenes.transparent(1.0)}
+    delta = scenes.delta(meshes, placed, materials)
     delta.images["leaf"] = ImageData(name="leaf", pixels=np.repeat(blobs()[..., 3:], 4, 2))
     made = DeviceScene("cpu")
     made.apply(delta, PerformanceSettings())
@@ -302,11 +302,10 @@ def test_scenes_without_masks_do_without(monkeypatch: pytest.MonkeyPatch) -> Non
     assert launches and made.opacity_maps.bytes > 0
     # Nothing that they depend on has changed.
     for first in (True, False):
-        # What moves gets a tree of its own, and maps with it.
         launches.clear()
-        made.apply(SceneDelta(instances=scenes.instances([
-            ("leaves", scenes.place(x=0.1 if first else 0.2), "leaf")])), PerformanceSettings())
-        assert bool(launches) == first and made.opacity_maps.bytes > 0
+        moved = scenes.instances([("leaves", scenes.place(x=0.1 if first else 0.2), "leaf")])
+        made.apply(SceneDelta(instances=moved), PerformanceSettings())
+        assert bool(launches) == first and made.opacity_maps.bytes > 0, "what moves gets a tree and maps of its own"
 
 
 def test_objects_that_some_rays_do_not_see_have_none() -> None:
