@@ -13,6 +13,7 @@ from .lamp_sample import LightSample
 from .lights import aim_at_triangle, mean_emission
 from .packing import pack_floats, unpack_floats
 from .sampling import sample_triangle
+from .solid_angle import angle_of_triangle, sample_seen_triangle, spherical_triangle
 from .types import LIGHT_TRIANGLE, MATERIAL_CONSTANT_EMISSION, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -83,7 +84,10 @@ def bake_emitters(
 
 @wp.func
 def sample_baked(emitters: wp.array[wp.uint64], emitter: int, position: wp.vec3, u: wp.vec2) -> LightSample:
-    """Draw a direction to an emissive triangle, as sample_emitter does; `instance` and `triangle` are left out."""
+    """Draw a direction to an emissive triangle, as sample_emitter does; `instance` and `triangle` are left out.
+
+    Close to a long one points drawn by area are next to always far off: the few that are near would be sparks.
+    """
     word = emitter * EMITTER_WORDS
     w0 = unpack_floats(emitters[word])
     w1 = unpack_floats(emitters[word + 1])
@@ -98,10 +102,17 @@ def sample_baked(emitters: wp.array[wp.uint64], emitter: int, position: wp.vec3,
     s.visibility = int(w6[1])
     s.error = w6[0]
     s.radiance = wp.vec3(w4[1], w5[0], w5[1])
-    corner = sample_triangle(u)
-    s.u = corner[0]
-    s.v = corner[1]
     a = wp.vec3(w1[1], w2[0], w2[1])
     b = wp.vec3(w3[0], w3[1], w4[0])
-    to_light = wp.vec3(w0[0], w0[1], w1[0]) + a * s.u + b * s.v - position
-    return aim_at_triangle(s, to_light, wp.cross(a, b))
+    to_corner = wp.vec3(w0[0], w0[1], w1[0]) - position
+    corner = sample_triangle(u)
+    angle = angle_of_triangle(to_corner, a, b)
+    if angle > 0.0:
+        seen = spherical_triangle(to_corner, to_corner + a, to_corner + b)
+        corner = sample_seen_triangle(to_corner, to_corner + a, to_corner + b, seen, angle, u)
+    s.u = corner[0]
+    s.v = corner[1]
+    s = aim_at_triangle(s, to_corner + a * s.u + b * s.v, wp.cross(a, b))
+    if angle > 0.0:
+        s.pdf = 1.0 / angle
+    return s

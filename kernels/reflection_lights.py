@@ -29,6 +29,7 @@ from .light_candidate import CANDIDATE_EMITTER, CANDIDATE_LAMP, Candidate, candi
 from .light_linking import is_lit
 from .light_tree import chance_by_tree
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, fading, ray_share, sampled_share
+from .solid_angle import angle_of_triangle
 from .specular_lobes import surface_alpha
 from .types import LIGHT_HITTABLE, Lights, LightTree, Scene
 
@@ -318,13 +319,17 @@ def emitter_ray_share(
     to_world = geometry.instances[instance].to_world
     vertices = geometry.triangles[triangle]
     p0 = world_vertex(geometry, to_world, vertices[0])
-    edges = wp.cross(
-        world_vertex(geometry, to_world, vertices[1]) - p0, world_vertex(geometry, to_world, vertices[2]) - p0)
-    projected = 0.5 * wp.abs(wp.dot(edges, direction))
+    a = world_vertex(geometry, to_world, vertices[1]) - p0
+    b = world_vertex(geometry, to_world, vertices[2]) - p0
+    projected = 0.5 * wp.abs(wp.dot(wp.cross(a, b), direction))
     if projected <= 0.0:
         return 1.0
-    return ray_part(
-        density, local_density(scene.lights, scene.lights.local_lamp_count + emitter, t * t / projected, origin))
+    # As direct_emitters.sample_baked draws it.
+    pdf = t * t / projected
+    angle = angle_of_triangle(p0 - origin, a, b)
+    if angle > 0.0:
+        pdf = 1.0 / angle
+    return ray_part(density, local_density(scene.lights, scene.lights.local_lamp_count + emitter, pdf, origin))
 
 
 @wp.func

@@ -76,6 +76,14 @@ def sampled_angle(angle: float) -> float:
 
 
 @wp.func
+def angle_of_triangle(to_light: wp.vec3, first: wp.vec3, second: wp.vec3) -> float:
+    """Return the solid angle that a triangle is sampled by, 0: by its area; arguments are those of is_close."""
+    if not is_close(to_light, first, second):
+        return 0.0
+    return sampled_angle(solid_angle(spherical_triangle(to_light, to_light + first, to_light + second)))
+
+
+@wp.func
 def sample_spherical_triangle(t: SphericalTriangle, angle: float, u: wp.vec2) -> wp.vec3:
     """Return a direction uniform over a triangle's solid angle.
 

@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.environment_split import split_environment
-from burnish.kernels.direct_emitters import EMITTER_WORDS
+from burnish.kernels.direct_emitters import EMITTER_WORDS, bake_emitters
 from burnish.kernels.environment_split import EnvironmentSplit
 from burnish.kernels.light_candidate import (
     candidate_index,
@@ -20,7 +20,7 @@ from burnish.kernels.light_candidate import (
 from burnish.kernels.types import Scene
 
 from tests import scenes
-from tests.direct_frames import sunny_world
+from tests.direct_frames import local_power, sunny_world
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -73,7 +73,10 @@ def drawn(delta, device, position=(0.0, 0.0, 0.0)):
     scene.apply(delta, scenes.SETTINGS.performance)
     split = split_environment(scene.scene, device)
     random = np.random.default_rng(2).random((COUNT, 4), np.float32)
-    emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=device)
+    count = len(scene.emitters.power)
+    emitters = wp.zeros(max(count, 1) * int(EMITTER_WORDS), dtype=wp.uint64, device=device)
+    if count:
+        wp.launch(bake_emitters, count, [0, scene.scene, local_power(scene)], [emitters], device=device)
     lights = wp.zeros(COUNT, dtype=wp.uint32, device=device)
     values = wp.zeros(COUNT, dtype=wp.vec3, device=device)
     wp.launch(draw, COUNT, [scene.scene, split, emitters, wp.vec3(*position), wp.array2d(random, device=device)],
@@ -116,6 +119,30 @@ def test_irradiance_of_candidates(device):
     sphere = 100.0 / (4 * np.pi**2 * 0.25) * np.pi * (0.5 / 2.0) ** 2
     cosine = 0.9 / np.linalg.norm([0.3, 0.2, 0.9])
     np.testing.assert_allclose(values[:, 2].mean(), 3.0 + sphere + split.power * cosine, rtol=0.02)
+
+
+def exact_irradiance(corners):
+    """Return the irradiance at the origin, facing z, from a polygon of radiance 1 above it (Lambert 1760)."""
+    v = np.asarray(corners, np.float64)
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    total = 0.0
+    for p, q in zip(v, np.roll(v, -1, 0), strict=True):
+        normal = np.cross(p, q)
+        total += 0.5 * np.arctan2(np.linalg.norm(normal), p @ q) * normal[2] / np.linalg.norm(normal)
+    return abs(total)
+
+
+@pytest.mark.parametrize("height", [0.01, 0.1, 2.0])
+def test_long_emitters_are_no_sparks_close_by(device, height):
+    """Give the irradiance of a bar six metres long, by samples none of which is worth more than the bar around it."""
+    corners = np.array([(-3, 0, height), (3, 0, height), (3, 0.04, height), (-3, 0.04, height)], np.float32)
+    bar = scenes.mesh(corners, [(0, 1, 2), (0, 2, 3)])
+    _, values, _ = drawn(
+        scenes.delta({"bar": bar}, [("bar", scenes.place(), "bar")], {"bar": scenes.emitter(5.0)}), device)
+    expected = 5.0 * exact_irradiance(corners)
+    np.testing.assert_allclose(values[:, 2].mean(), expected, rtol=0.02)
+    # By area a point 1 cm away would be worth some hundred times the mean.
+    assert values[:, 2].max() < 10.0 * expected
 
 
 def test_nothing_is_drawn_without_lights(device):

@@ -29,6 +29,7 @@ from burnish.kernels.types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_GLO
 
 from tests import scenes
 from tests.direct_frames import local_power, sunny_world
+from tests.light_scenes import slab
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -249,6 +250,11 @@ def lit(name, device):
         return Lit(scenes.delta({}, [], {}, many), device)
     if name == "world":
         return Lit(scenes.delta({}, [], {}, (), sunny_world(PATCH, COSINE)), device)
+    if name == "bar":
+        # Longer than it is far off: sampled by solid angle.
+        bar = slab((-3.0, -0.02, 0.0), (3.0, 0.02, 0.02))
+        place = scenes.place(x=0.3, y=0.2, z=0.3)
+        return Lit(scenes.delta({"bar": bar}, [("bar", place, "bar")], {"bar": scenes.emitter(5.0)}), device)
     mesh = scenes.quad(0.6) if name == "panel" else scenes.sphere(0.3, 16)
     return Lit(scenes.delta({"light": mesh}, [("light", above, "light")], {"light": scenes.emitter(5.0)}), device)
 
@@ -256,14 +262,14 @@ def lit(name, device):
 LIGHTS = ("sphere", "disk", "spot", "area", "ellipse", "sun", "many", "panel", "ball", "world")
 
 
-@pytest.mark.parametrize("name", (*LIGHTS, "delta"))
+@pytest.mark.parametrize("name", (*LIGHTS, "bar", "delta"))
 def test_shares_add_up_to_one(device, name):
     """Give each light sample and a ray in its direction shares that add up to 1, at any roughness."""
     scene = lit(name, device)
     shares, = scene.run(compare_shares, scene.receiver(0.1), 1 << 14, [wp.vec3])
     met = shares[shares[:, 2] > 0]
-    # Rays of a ball's far side meet its near side, those of many lamps several.
-    assert len(met) > (0.3 if name in ("ball", "many") else 0.85) * len(shares)
+    # Rays of a ball's far side meet its near side, so do those of a bar's, and those of many lamps several.
+    assert len(met) > (0.3 if name in ("ball", "bar", "many") else 0.85) * len(shares)
     error = np.abs(met[:, 0] + met[:, 1] - 1.0)
     assert np.quantile(error, 0.99) < 1e-3 and error.mean() < 1e-3
     if name != "delta":
@@ -291,12 +297,12 @@ def check_sum(scene, receiver, zone, tolerance=0.01):
 
 def aimed(name, aside):
     """Return a view whose mirror direction meets the scene's light, or passes by it a little."""
-    center = np.array({"sun": (0, 0, 1), "two": (0, 0, 1), "world": PATCH}.get(name, (0.3, 0.2, 2.0)), float)
+    center = np.array({"sun": (0, 0, 1), "two": (0, 0, 1), "world": PATCH, "bar": (0.3, 0.2, 0.3)}.get(name, (0.3, 0.2, 2.0)), float)
     mirrored = center / np.linalg.norm(center) + (aside, 0.0, 0.0)
     return -mirrored[0], -mirrored[1], mirrored[2]
 
 
-@pytest.mark.parametrize("name", (*LIGHTS, "two", "tiny"))
+@pytest.mark.parametrize("name", (*LIGHTS, "bar", "two", "tiny"))
 def test_both_sides_hold_all_light(device, name):
     """Give the whole reflected light in the sum of both sides, where the mirrored view sees the light and beside it."""
     scene = lit(name, device)
