@@ -297,7 +297,8 @@ def check_sum(scene, receiver, zone, tolerance=0.01):
 
 def aimed(name, aside):
     """Return a view whose mirror direction meets the scene's light, or passes by it a little."""
-    center = np.array({"sun": (0, 0, 1), "two": (0, 0, 1), "world": PATCH, "bar": (0.3, 0.2, 0.3)}.get(name, (0.3, 0.2, 2.0)), float)
+    centers = {"sun": (0, 0, 1), "two": (0, 0, 1), "world": PATCH, "bar": (0.3, 0.2, 0.3)}
+    center = np.array(centers.get(name, (0.3, 0.2, 2.0)), float)
     mirrored = center / np.linalg.norm(center) + (aside, 0.0, 0.0)
     return -mirrored[0], -mirrored[1], mirrored[2]
 
