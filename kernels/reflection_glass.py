@@ -34,6 +34,9 @@ from .types import VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, ShadingPoint, Tab
 INSIDE_SURFACES = wp.constant(3)
 INSIDE_ALPHA = wp.constant(0.09)
 
+# Alpha up to which glass is clear: rays that got in get out.
+CLEAR_ALPHA = wp.constant(0.005)
+
 
 @wp.struct
 class GlassSample:

@@ -2,7 +2,8 @@
 """Tests of the energy of reflections in real time: white furnaces of every roughness, metal, coats, glass."""
 
 import pytest
-from burnish.engine.stress.furnaces import EMISSION, closed_box, white_share
+from burnish.engine.stress.furnaces import EMISSION, ball_masks, closed_box, white_share
+from burnish.engine.stress.scenes import balls_in_sky, principled
 
 from tests import glossy_checks
 from tests.light_checks import Setup, luminance
@@ -27,6 +28,14 @@ def test_white_balls(kinds):
         check(glossy_checks.white_balls(GLASS, kinds, 128))
     else:
         check(glossy_checks.white_balls(SMALL, kinds, 64))
+
+
+def test_rough_glass_lets_all_light_out():
+    """Keep the light that total reflection holds in rough glass of a high IOR longer than rays are followed."""
+    size = (24, 24)
+    ball = principled(color=1.0, roughness=0.25, metallic=0.0, ior=2.4, transmission=1.0)
+    picture = Setup(size).picture(balls_in_sky([ball], size), 96)
+    assert luminance(picture)[ball_masks(1, size)[0]].mean() == pytest.approx(1.0, abs=0.012)
 
 
 @pytest.mark.slow
