@@ -11,13 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SIDES", "Strands", "Tubes", "fit_to_limit", "make_tubes"]
+__all__ = ["SIDES", "Strands", "Tubes", "fit_to_limit", "make_tubes", "needed_steps", "spared_points",
+           "tapered"]
 
 SIDES = 6
 """Of each tube; with four, diffuse hair in the sun is 8 % darker than round hair in Cycles, with six 4 %"""
 _WIDER = np.pi / (SIDES * np.sin(np.pi / SIDES))
 
 _TURN = np.pi * (3 - 5 ** 0.5)  # the golden angle
+
+# How far pieces may be off their curve: of their length (bends of 2.3 degrees) and of their radius.
+_LENGTH_SHARE, _RADIUS_SHARE = 0.005, 0.25
+_PIECES_OFF = 0.01  # share of pieces that may be further off
+_RADIUS_OFF = 0.03  # of a strand's largest radius, where points are spared
 
 
 @dataclass(eq=False)
@@ -48,6 +54,8 @@ class Tubes:
     """int64 [V], point of the strands at or before each vertex"""
     fraction: np.ndarray
     """float32 [V], how far each vertex is on the way to the next point"""
+    directions: np.ndarray
+    """float32 [V / SIDES, 3], unit, along the strand at each ring of vertices"""
 
     def of_points(self, values: np.ndarray) -> np.ndarray:
         """Return [V, ...], the [K, ...] `values` of points at each vertex, linear between points."""
@@ -70,6 +78,87 @@ def fit_to_limit(counts: np.ndarray, steps: int, limit: int) -> tuple[int, int]:
     return steps, max(1, -(-segments * steps * 2 * SIDES // limit))
 
 
+def needed_steps(strands: Strands, most: int) -> int:
+    """Return how many steps, 1, 2, 4 and so on up to `most`, a curve through the points needs to look like one.
+
+    A Catmull-Rom curve is |b + c - a - d| / 16 from the line between its points b and c at half of the way.
+    """
+    follows = np.ones(len(strands.points), bool)
+    counts = strands.counts[strands.counts > 0]
+    follows[np.cumsum(counts) - 1] = False
+    b = np.flatnonzero(follows)
+    if not len(b):
+        return 1
+    first = np.repeat(np.cumsum(counts) - counts, counts)[b]
+    last = np.repeat(np.cumsum(counts) - 1, counts)[b]
+    points = strands.points
+    a, c, d = points[np.maximum(b - 1, first)], points[b + 1], points[np.minimum(b + 2, last)]
+    off = np.linalg.norm(points[b] + c - a - d, axis=1) / 16
+    # Ends count twice: along the line that only changes how fast the curve is.
+    length = np.linalg.norm(c - points[b], axis=1)
+    inner = (b > first) & (b + 1 < last)
+    along = ((points[b] + c - a - d) * (c - points[b])).sum(1) / (16 * np.maximum(length, 1e-20))
+    off = np.where(inner, off, np.sqrt(np.maximum(off ** 2 - along ** 2, 0)))
+    wanted = np.sqrt(off / np.maximum(_LENGTH_SHARE * length + _RADIUS_SHARE * strands.radii[b], 1e-20))
+    steps = 1
+    while steps < most and (wanted > steps).mean() > _PIECES_OFF:
+        steps *= 2
+    return steps
+
+
+def spared_points(points: np.ndarray, radii: np.ndarray) -> int:
+    """Return which every how many-th point, a power of two, is enough for strands to look the same.
+
+    Two pieces are left at least: rays find long thin triangles slowly.
+
+    Args:
+        points: [C, P, 3], of strands of P points each.
+        radii: [C, P].
+    """
+    pieces = points.shape[1] - 1
+    stride = 1
+    while pieces % (2 * stride) == 0 and pieces > 2 * stride and _would_do(points, radii, 2 * stride):
+        stride *= 2
+    return stride
+
+
+def _would_do(points: np.ndarray, radii: np.ndarray, stride: int) -> bool:
+    """Return whether all points but every `stride`-th may be left out."""
+    a, b = points[:, :-1:stride], points[:, stride::stride]
+    way = b - a
+    length = np.linalg.norm(way, axis=2)
+    direction = way / np.maximum(length, 1e-20)[..., None]
+    largest = radii.max(1, keepdims=True)
+    for offset in range(1, stride):
+        off = points[:, offset::stride] - a
+        along = (off * direction).sum(2)
+        across = np.linalg.norm(off - direction * along[..., None], axis=2)
+        share = np.clip(along / np.maximum(length, 1e-20), 0, 1)
+        radius = radii[:, :-1:stride] * (1 - share) + radii[:, stride::stride] * share
+        bad = across > _LENGTH_SHARE * length + _RADIUS_SHARE * radii[:, offset::stride]
+        bad |= np.abs(radius - radii[:, offset::stride]) > _RADIUS_OFF * largest
+        if bad.mean() > _PIECES_OFF:
+            return False
+    return True
+
+
+def tapered(shape: float, root: float, tip: float, share: np.ndarray) -> np.ndarray:
+    """Return radii at shares 0..1 of the way from root to tip, as Cycles shapes particle hair (blender/curves.cpp).
+
+    Args:
+        shape: -1..1, thin to thick.
+        root: Radius.
+        tip: Radius.
+        share: Any shape.
+    """
+    left = 1 - share
+    if shape < 0:
+        left = left ** (1 + shape)
+    elif shape > 0:
+        left = left ** (1 / max(1 - shape, 1e-6))
+    return left * (root - tip) + tip
+
+
 def make_tubes(strands: Strands, steps: int) -> Tubes:
     """Return tubes around `strands`, `steps` pieces between two points."""
     counts = np.where(strands.counts > 1, strands.counts, 0)
@@ -84,15 +173,18 @@ def make_tubes(strands: Strands, steps: int) -> Tubes:
     neighbours = [np.clip(point + offset, first, last) for offset in (-1, 0, 1, 2)]
     centres, tangents = _catmull_rom([strands.points[index] for index in neighbours], fraction[:, None])
     radii, _ = _catmull_rom([strands.radii[index] for index in neighbours], fraction)
-    side = _carried_normals(_unit(tangents), fine, fine_firsts)
-    other = np.cross(_unit(tangents), side)
-    angles = np.arange(SIDES) * (2 * np.pi / SIDES)
+    directions = _unit(tangents)
+    side = _carried_normals(directions, fine, fine_firsts)
+    other = np.cross(directions, side)
+    angles = (np.arange(SIDES) * (2 * np.pi / SIDES)).astype(np.float32)
     normals = side[:, None] * np.cos(angles)[:, None] + other[:, None] * np.sin(angles)[:, None]
     positions = centres[:, None] + normals * (np.maximum(radii, 0) * _WIDER)[:, None, None]
     return Tubes(
-        positions=positions.reshape(-1, 3).astype(np.float32), triangles=_triangles(along, fine[strand]),
+        positions=positions.reshape(-1, 3).astype(np.float32),
+        triangles=_triangles(along, fine[strand], centres, radii),
         normals=normals.reshape(-1, 3).astype(np.float32), strand=np.repeat(strand, SIDES),
-        point=np.repeat(point, SIDES), fraction=np.repeat(fraction, SIDES))
+        point=np.repeat(point, SIDES), fraction=np.repeat(fraction, SIDES),
+        directions=directions.astype(np.float32))
 
 
 def _catmull_rom(values: list[np.ndarray], t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,13 +212,20 @@ def _carried_normals(tangents: np.ndarray, counts: np.ndarray, firsts: np.ndarra
     return normals
 
 
-def _triangles(along: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return int32 [T, 3] between each ring of vertices and the next one of its strand."""
-    ring = np.flatnonzero(along < counts - 1)[:, None] * SIDES
-    corner = np.arange(SIDES)
-    a, b = ring + corner, ring + (corner + 1) % SIDES
-    quads = np.stack([a, b, b + SIDES, a, b + SIDES, a + SIDES], axis=-1)
-    return quads.reshape(-1, 3).astype(np.int32)
+def _triangles(along: np.ndarray, counts: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Return int32 [T, 3] between each ring of vertices and the next one of its strand, but those without area."""
+    ring = np.flatnonzero(along < counts - 1)
+    far = (centres[ring] != centres[ring + 1]).any(1)
+    corner = np.arange(SIDES, dtype=np.int32)
+    first = (ring * SIDES).astype(np.int32)[:, None]
+    a, b = first + corner, first + (corner + 1) % SIDES
+    triangles = np.stack([a, b, b + SIDES, a, b + SIDES, a + SIDES], axis=-1).reshape(-1, SIDES, 2, 3)
+    # A ring without radius is a point.
+    wide = np.stack([far & (radii[ring] > 0), far & (radii[ring + 1] > 0)], axis=-1)
+    if wide.all():
+        return triangles.reshape(-1, 3)
+    return np.concatenate([part.reshape(-1, 3) for part in (
+        triangles[wide.all(1)], triangles[wide[:, 0] & ~wide[:, 1], :, 0], triangles[wide[:, 1] & ~wide[:, 0], :, 1])])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -14,15 +14,18 @@ import warp as wp
 from ..kernels.mesh_islands import join_edges
 from .device import start_warp
 
-__all__ = ["ISLAND", "POINTINESS", "derived_names", "hashed", "pointiness", "random_per_island"]
+__all__ = ["HAIR", "ISLAND", "POINTINESS", "STRAND", "derived_names", "hashed", "pointiness", "random_per_island"]
 
 ISLAND, POINTINESS = ".island", ".pointiness"
 """Names of attributes in programs and meshes"""
 
+HAIR, STRAND = ".hair", ".strand"
+"""Of hair (hair_info.py)"""
+
 
 def derived_names(names) -> frozenset[str]:
     """Return which of these attributes must be worked out."""
-    return frozenset(names) & {ISLAND, POINTINESS}
+    return frozenset(names) & {ISLAND, POINTINESS, HAIR, STRAND}
 
 
 def random_per_island(vertex_count: int, edges: np.ndarray) -> np.ndarray:

@@ -127,6 +127,9 @@ class MeshKeys:
                 continue
             # An evaluated mesh without a number of its own is told apart by its address.
             version = source.volume or source.data.session_uid or ("address", source.data.as_pointer())
+            if source.hair:
+                # All that changes hair has its emitter evaluated again.
+                version = ("hair", source.hair, version)
             versions.append(version)
             if version not in slots:
                 ordinal = counts.get(source.uid, 0)

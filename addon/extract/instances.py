@@ -15,17 +15,17 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...engine.object_properties import split_name
 from ...engine.report import Report, ReportKind
 from ...engine.sanitize import COORDINATE_LIMIT
 from ...engine.scene import InstanceTable, Visibility
-from .linking import Linking, links_of
+from .linking import Linking
 from .object_hash import object_random_id
-from .properties import UNUSED_ID, property_columns, property_of
+from .particle_hair import has_particle_hair
+from .properties import UNUSED_ID, property_columns
 from .volume_object import volume_version
 
 __all__ = ["ExtractionCancelled", "Gathered", "Placement", "Source", "build_table", "gather_instances", "kept_rows",
-           "look_of", "placeable", "read_transforms"]
+           "placeable", "ray_visibility", "read_transforms", "uppermost"]
 
 _CANCEL_INTERVAL = 4096
 _MORE_INSTANCES = 64
@@ -58,7 +58,7 @@ class ExtractionCancelled(Exception):
 
 @dataclass(eq=False)
 class Source:
-    """One distinct (object, data) pair: everything that its instances have in common."""
+    """One distinct (object, data) pair, or an object's particle hair: what its instances have in common."""
 
     owner: bpy.types.Object
     """Evaluated object that the data belongs to"""
@@ -79,6 +79,8 @@ class Source:
     """Sets of what it lights and of what casts its shadows, from Linking.read"""
     volume: Hashable = None
     """Of a volume object or smoke domain, what its grids depend on (volume_object.py)"""
+    hair: str = ""
+    """Of the hair of `owner`'s particles, its dependency graph's mode (particle_hair.py)"""
 
     @property
     def is_light(self) -> bool:
@@ -108,8 +110,10 @@ class Gathered:
     placements: list[Placement] = field(default_factory=list)
     materials: dict[Hashable, bpy.types.Material] = field(default_factory=dict)
     """Evaluated materials by session_uid"""
-    drawn: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
-    """bool [C], which of all the graph's instances are the N that are visible"""
+    count: int = 0
+    """C, of all the graph's instances"""
+    drawn: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """int64 [N], which of the graph's instances each is: those of emitters may be both a mesh's and hair's"""
     rows: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     """int64 [N], placement of each instance"""
     random_ids: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint32))
@@ -136,26 +140,27 @@ def gather_instances(depsgraph: bpy.types.Depsgraph, *, space: bpy.types.SpaceVi
         ExtractionCancelled: `cancelled` returned True.
     """
     walk = _Walk(depsgraph, space, report)
-    lookup, found, random_ids = walk.placement_by_key, [], []
+    lookup, found, random_ids = walk.kind_by_key, [], []
     for index, instance in enumerate(depsgraph.object_instances):
         item = instance.object
         data = item.data
         if data is None:
-            placement = -1
+            kind = 0
         else:
             if instance.is_instance:
                 key = (instance.instance_object.as_pointer(), data.as_pointer(), instance.parent.as_pointer())
             else:
                 key = (item.as_pointer(), data.as_pointer(), 0)
-            placement = lookup.get(key)
-            if placement is None:
-                placement = lookup[key] = walk.add(instance)
-        found.append(placement)
+            kind = lookup.get(key)
+            if kind is None:
+                kind = lookup[key] = walk.add(instance)
+        found.append(kind)
         random_ids.append(instance.random_id)
         if index % _CANCEL_INTERVAL == 0 and cancelled is not None and cancelled():
             raise ExtractionCancelled
     walk.gathered.linking.finish(report)
-    _read_numbers(walk.gathered, depsgraph, np.array(found, np.int64), np.array(random_ids, np.int64))
+    placements = np.array(walk.kinds, np.int64)[np.array(found, np.int64)]
+    _read_numbers(walk.gathered, depsgraph, placements, np.array(random_ids, np.int64))
     return walk.gathered
 
 
@@ -211,37 +216,46 @@ class _Walk:
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, report: Report) -> None:
         self.gathered = Gathered(frame=depsgraph.scene.frame_current_final)
-        self.placement_by_key: dict[tuple[int, int, int], int] = {}
-        self.source_by_key: dict[tuple[int, int], int] = {}
+        self.kinds = [(-1, -1)]
+        """Placement of the object and of its hair, -1 where that isn't drawn"""
+        self.kind_by_key: dict[tuple[int, int, int], int] = {}
+        self.source_by_key: dict[tuple[int, int, str], int] = {}
+        self.mode = depsgraph.mode
         self.view_layer = depsgraph.view_layer_eval
         self.material_override = self.view_layer.material_override
         self.space = space
         self.report = report
 
     def add(self, instance: bpy.types.DepsgraphObjectInstance) -> int:
-        """Return the placement of an instance of a new kind, or -1 where it isn't drawn."""
+        """Return the number of an instance of a new kind in `kinds`, 0 where nothing of it is drawn."""
         item = instance.object
         owner = instance.instance_object if instance.is_instance else item
         if self.space is not None and not item.visible_in_viewport_get(self.space):
-            return -1
-        self._report_hair(instance, owner)
-        if not instance.show_self or not self._is_drawn(item):
-            return -1
-        parent = instance.parent if instance.is_instance else item
-        visibility = self._visibility(item, parent)
+            return 0
+        drawn = instance.show_self and self._is_drawn(item)
+        # Of what geometry nodes make, the object's own data alone has its hair.
+        hair = instance.show_particles and self.view_layer.use_strand and owner.data == item.data \
+            and has_particle_hair(owner, self.mode)
+        visibility = self._visibility(item, instance.parent if instance.is_instance else item) if drawn or hair else 0
         if not visibility & _ALL_RAYS:
-            return -1
-        source = self._source(owner, item)
+            return 0
+        self.kinds.append((self._place(instance, self._source(owner, item), visibility) if drawn else -1,
+                           self._place(instance, self._source(owner, item, self.mode), visibility) if hair else -1))
+        return len(self.kinds) - 1
+
+    def _place(self, instance: bpy.types.DepsgraphObjectInstance, source: int, visibility: int) -> int:
         placement = Placement(source, None, visibility, None, None)
         if instance.is_instance:
-            placement.parent_uid, placement.parent = parent.original.session_uid, parent
+            placement.parent_uid, placement.parent = instance.parent.original.session_uid, instance.parent
             placement.particles = instance.particle_system
         self.gathered.placements.append(placement)
         return len(self.gathered.placements) - 1
 
     def _is_drawn(self, item: bpy.types.Object) -> bool:
-        if isinstance(item.data, (bpy.types.Mesh, bpy.types.Curves, bpy.types.Light)):
+        if isinstance(item.data, (bpy.types.Mesh, bpy.types.Light)):
             return True
+        if isinstance(item.data, bpy.types.Curves):
+            return self.view_layer.use_strand
         if isinstance(item.data, bpy.types.Volume):
             if any(self._material_set(item)):
                 return True
@@ -253,19 +267,11 @@ class _Walk:
             self.report.add(kind, f"object '{item.name}'", message)
         return False
 
-    def _report_hair(self, instance: bpy.types.DepsgraphObjectInstance, owner: bpy.types.Object) -> None:
-        if not instance.show_particles:
-            return
-        for system in owner.particle_systems:
-            if system.settings.type == 'HAIR' and system.settings.render_type == 'PATH':
-                self.report.add(ReportKind.SKIPPED, f"object '{owner.name}'",
-                                "particle hair is not drawn in this version")
-
     def _visibility(self, item: bpy.types.Object, parent: bpy.types.Object) -> int:
         """Return Visibility bits as Cycles' sync_object: the instancer's flags restrict the object's."""
-        visibility = _ray_visibility(item)
+        visibility = ray_visibility(item)
         if parent is not item:
-            visibility &= _ray_visibility(parent)
+            visibility &= ray_visibility(parent)
         if parent.holdout_get(view_layer=self.view_layer):
             visibility |= Visibility.HOLDOUT.value
         elif parent.indirect_only_get(view_layer=self.view_layer):
@@ -274,8 +280,8 @@ class _Walk:
             visibility |= Visibility.SHADOW_CATCHER.value
         return visibility
 
-    def _source(self, owner: bpy.types.Object, item: bpy.types.Object) -> int:
-        key = (owner.as_pointer(), item.data.as_pointer())
+    def _source(self, owner: bpy.types.Object, item: bpy.types.Object, hair: str = "") -> int:
+        key = (owner.as_pointer(), item.data.as_pointer(), hair)
         found = self.source_by_key.get(key)
         if found is not None:
             return found
@@ -285,9 +291,9 @@ class _Walk:
             owner=owner, data=item.data, uid=owner.original.session_uid, name=owner.name,
             material_set=self._material_set(item) if is_mesh else (None,), pass_index=owner.pass_index,
             color=tuple(owner.color), random_id=object_random_id(owner.name) if is_mesh else 0,
-            asset=_uppermost(owner).name, light_group=owner.lightgroup,
-            links=self.gathered.linking.read(owner),
-            volume=volume_version(owner, item.data, self.gathered.frame) if is_mesh else None))
+            asset=uppermost(owner).name, light_group=owner.lightgroup,
+            links=self.gathered.linking.read(owner), hair=hair,
+            volume=volume_version(owner, item.data, self.gathered.frame) if is_mesh and not hair else None))
         self.source_by_key[key] = len(sources) - 1
         return len(sources) - 1
 
@@ -307,36 +313,28 @@ class _Walk:
         return key
 
 
-def look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer, properties: tuple[str, ...]) -> tuple:
-    """Return all that a walk reads of an evaluated object but its place."""
-    return (
-        item.name, _uppermost(item).name, item.type, 0 if item.data is None else item.data.as_pointer(),
-        item.hide_viewport, item.instance_type, item.show_instancer_for_viewport, len(item.particle_systems),
-        _ray_visibility(item), item.holdout_get(view_layer=view_layer), item.indirect_only_get(view_layer=view_layer),
-        item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup, links_of(item),
-        tuple(property_of((item,), split_name(name)[0]) for name in properties),
-        tuple(0 if slot.material is None else slot.material.original.session_uid for slot in item.material_slots))
-
-
-def _uppermost(item: bpy.types.Object) -> bpy.types.Object:
+def uppermost(item: bpy.types.Object) -> bpy.types.Object:
+    """Return the parent that has none."""
     while item.parent is not None:
         item = item.parent
     return item
 
 
-def _ray_visibility(item: bpy.types.Object) -> int:
+def ray_visibility(item: bpy.types.Object) -> int:
+    """Return the Visibility bits of the kinds of rays that see an object."""
     # Plain numbers: operations on flags take most of the time to read a scene of many objects.
     return sum(bit for name, bit in _RAY_FLAGS if getattr(item, name))
 
 
 def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.ndarray,
                   random_ids: np.ndarray) -> None:
-    """Fill the arrays of `gathered` from all instances' placements (-1: not drawn) and random ids."""
+    """Fill the arrays of `gathered` from all instances' placements (int64 [C, 2], -1: not drawn) and random ids."""
     instances, count = depsgraph.object_instances, len(found)
-    drawn = found >= 0
-    gathered.drawn, gathered.rows = drawn, found[drawn]
+    # All objects, then all hair.
+    which, drawn = np.nonzero(found.T >= 0)
+    gathered.count, gathered.drawn, gathered.rows = count, drawn, found[drawn, which]
     rows = gathered.rows
-    gathered.transforms = read_transforms(depsgraph, drawn)
+    gathered.transforms = read_transforms(depsgraph, count, drawn)
     is_self = np.array([placement.parent_uid is None for placement in gathered.placements], bool)[rows]
     persistent = np.full((count, 8), UNUSED_ID, np.int32)
     if not is_self.all():
@@ -346,12 +344,11 @@ def _read_numbers(gathered: Gathered, depsgraph: bpy.types.Depsgraph, found: np.
     gathered.random_ids = np.where(is_self, own, random_ids[drawn] & 0xFFFFFFFF).astype(np.uint32)
 
 
-def read_transforms(depsgraph: bpy.types.Depsgraph, drawn: np.ndarray) -> np.ndarray | None:
-    """Return float64 [N, 4, 4], object to world, of the instances that `drawn` (bool [C]) names; None unless C exist.
+def read_transforms(depsgraph: bpy.types.Depsgraph, count: int, drawn: np.ndarray) -> np.ndarray | None:
+    """Return float64 [N, 4, 4], object to world, of the instances `drawn` (int64 [N]); None unless `count` exist.
 
     Counting them first would take as long again. More room than they need is left as it is.
     """
-    count = len(drawn)
     if count == 0:
         return None if len(depsgraph.object_instances) else np.zeros((0, 4, 4))
     matrices = np.full((count + _MORE_INSTANCES, 4, 4), np.nan, np.float32)
@@ -379,8 +376,12 @@ def placeable(transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _object_keys(gathered: Gathered, rows: np.ndarray, persistent_ids: np.ndarray) -> list[Hashable]:
-    """Return the uid of each object that isn't instanced, else (instancer uid, object uid, persistent ids)."""
-    pairs = [(placement.parent_uid, gathered.sources[placement.source].uid) for placement in gathered.placements]
+    """Return the uid of each object that isn't instanced, else (instancer uid, object uid, persistent ids).
+
+    Hair has ("hair", uid) for the object's.
+    """
+    uids = [("hair", source.uid) if source.hair else source.uid for source in gathered.sources]
+    pairs = [(placement.parent_uid, uids[placement.source]) for placement in gathered.placements]
     if all(parent is None for parent, _ in pairs):
         return [pairs[row][1] for row in rows.tolist()]
     # Bytes are made and hashed faster than tuples of eight numbers.

@@ -74,7 +74,7 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
         attributes=_read_attributes(mesh, gather, owner, report),
         generated=_read_texture_space(mesh),
     )
-    if derived and intact:
+    if derived & {ISLAND, POINTINESS} and intact:
         data.attributes |= _derive(mesh, gather, data.positions, derived)
     data, counts = sanitize_mesh(data)
     report_counts(report, owner, counts)

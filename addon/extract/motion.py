@@ -16,6 +16,7 @@ import numpy as np
 from ...engine.report import Report
 from ...engine.scene import CameraData, FrameMotion
 from .changes import MeshKeys
+from .geometry import read_positions
 from .instances import Gathered, build_table, gather_instances, kept_rows
 
 __all__ = ["OtherFrame", "read_other_frames"]
@@ -71,9 +72,7 @@ def read_at(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, fram
     positions = {}
     for source, version in zip(gathered.sources, versions, strict=True):
         if version is not None and version not in still and slots[version] not in positions:
-            attribute = source.data.attributes.get("position")
-            if attribute is not None and not source.data.is_editmode:
-                values = np.empty(3 * len(source.data.vertices), np.float32)
-                attribute.data.foreach_get("vector", values)
-                positions[slots[version]] = values.reshape(-1, 3)
+            values = read_positions(source)
+            if values is not None:
+                positions[slots[version]] = values
     return OtherFrame(cameras(), table.object_keys, table.transforms, positions)

@@ -13,8 +13,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from ...engine.object_properties import split_name
 from ...engine.scene import InstanceTable, LightData
-from .instances import Gathered, look_of, placeable, read_transforms
+from .instances import Gathered, placeable, ray_visibility, read_transforms, uppermost
+from .linking import links_of
+from .properties import property_of
 
 __all__ = ["Moves"]
 
@@ -23,8 +26,9 @@ __all__ = ["Moves"]
 class _Walked:
     """What the last walk found, of C instances in the graph and N visible ones."""
 
+    count: int
     drawn: np.ndarray
-    """bool [C], which are visible"""
+    """int64 [N], which of the graph's each visible one is"""
     of_mesh: np.ndarray
     """bool [N], which have a mesh to draw"""
     kept: np.ndarray
@@ -57,7 +61,7 @@ class Moves:
              of_mesh: np.ndarray, kept: np.ndarray, table: InstanceTable, lamps: dict[int, LightData | None]) -> None:
         """Remember a walk, and how the objects looked that the update named."""
         self._looks = _looks(depsgraph, objects, table.property_names)
-        self._walked = _Walked(gathered.drawn, of_mesh, kept, table, lamps, gathered.transforms)
+        self._walked = _Walked(gathered.count, gathered.drawn, of_mesh, kept, table, lamps, gathered.transforms)
 
     def read(self, depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object]) -> bool:
         """Follow `objects`, those that an update named, to where they are; False where only a walk can tell."""
@@ -67,7 +71,7 @@ class Moves:
         looks = _looks(depsgraph, objects, walked.table.property_names)
         if any(self._looks.get(uid) != look for uid, look in looks.items()):
             return False
-        transforms = read_transforms(depsgraph, walked.drawn)
+        transforms = read_transforms(depsgraph, walked.count, walked.drawn)
         if transforms is None:
             return False
         moved = (transforms != walked.transforms).any((1, 2))
@@ -87,4 +91,15 @@ class Moves:
 def _looks(depsgraph: bpy.types.Depsgraph, objects: list[bpy.types.Object], properties: tuple[str, ...],
            ) -> dict[int, tuple]:
     view_layer = depsgraph.view_layer_eval
-    return {item.original.session_uid: look_of(item, view_layer, properties) for item in objects}
+    return {item.original.session_uid: _look_of(item, view_layer, properties) for item in objects}
+
+
+def _look_of(item: bpy.types.Object, view_layer: bpy.types.ViewLayer, properties: tuple[str, ...]) -> tuple:
+    """Return all that a walk reads of an evaluated object but its place."""
+    return (
+        item.name, item.mode, uppermost(item).name, item.type, 0 if item.data is None else item.data.as_pointer(),
+        item.hide_viewport, item.instance_type, item.show_instancer_for_viewport, len(item.particle_systems),
+        ray_visibility(item), item.holdout_get(view_layer=view_layer), item.indirect_only_get(view_layer=view_layer),
+        item.is_shadow_catcher, item.pass_index, tuple(item.color), item.lightgroup, links_of(item),
+        tuple(property_of((item,), split_name(name)[0]) for name in properties),
+        tuple(0 if slot.material is None else slot.material.original.session_uid for slot in item.material_slots))

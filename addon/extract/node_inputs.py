@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ...engine.mesh_features import ISLAND, POINTINESS
+from ...engine.mesh_features import HAIR, ISLAND, POINTINESS, STRAND
 from ...engine.object_properties import particle_name, property_name
 from ...engine.program import Value, tangent_attribute
 from ...engine.report import ReportKind
@@ -162,14 +162,34 @@ def particle_info_node(graph: Graph, node, output: str) -> Value:
     return graph.builder.rgb(graph.builder.object_property(particle_name(output)))
 
 
-@translates("ShaderNodeHairInfo", "ShaderNodePointInfo", "ShaderNodeVolumeInfo")
+@translates("ShaderNodeHairInfo")
+def hair_info_node(graph: Graph, node, output: str) -> Value:
+    """Hair Info: 0 on all that isn't hair (engine/hair_info.py)."""
+    build = graph.builder
+    if graph.world or graph.lamp or isinstance(build, VolumeBuilder):
+        return build.constant(0.0)
+    facts = ("Intercept", "Length", "Thickness", "Random")
+    if output in facts:
+        return build.component(build.attribute(HAIR), facts.index(output))
+    strand = build.attribute(STRAND)
+    is_strand = build.component(strand, 3)
+    if output == "Is Strand":
+        return is_strand
+    # Towards the eye, but across the strand (kernel/geom/curve.h, curve_tangent_normal).
+    along = build.vector("NORMALIZE", build.space("DIRECTION_TO_WORLD", build.rgb(strand)))
+    incoming = build.input("INCOMING")
+    part = build.vector("MULTIPLY", along, build.vector("DOT_PRODUCT", along, incoming))
+    across = build.vector("SUBTRACT", incoming, part)
+    return build.vector("NORMALIZE", build.vector("MULTIPLY", across, is_strand))
+
+
+@translates("ShaderNodePointInfo", "ShaderNodeVolumeInfo")
 def particle_node(graph: Graph, node, output: str) -> Value:
-    """Facts about hair, points and volumes: 0 on meshes."""
+    """Facts about points and volumes: 0 on meshes."""
     if isinstance(graph.builder, VolumeBuilder) and node.bl_idname == "ShaderNodeVolumeInfo":
         value = graph.builder.attribute(output.lower())
         return graph.builder.rgb(value) if output == "Color" else graph.builder.vector("AVERAGE", value)
-    if output != "Is Strand":
-        graph.tell(node, f"gives {output}, which meshes don't have; 0 stands in for it")
+    graph.tell(node, f"gives {output}, which meshes don't have; 0 stands in for it")
     return graph.builder.constant(0.0)
 
 

@@ -20,15 +20,13 @@ from ...engine.report import Report
 from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
-from .hair import extract_curves
+from .geometry import read_geometry
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
 from .material import from_xyz
-from .mesh import extract_mesh
 from .moves import Moves
 from .properties import LayerProperties
-from .volume_object import extract_volume
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
 
@@ -278,19 +276,8 @@ class SceneExtractor:
         self._table = table
 
     def _read_mesh(self, key: int, source: Source) -> MeshData:
-        mesh_report = self._mesh_reports[key] = Report()
-        owner, slot_count = f"object '{source.name}'", len(source.material_set)
-        if source.volume is not None:
-            return extract_volume(source.owner, source.data, source.name, mesh_report)
-        if isinstance(source.data, bpy.types.Curves):
-            return extract_curves(source.data, owner, mesh_report)
-        if not source.data.is_editmode:
-            return extract_mesh(source.data, owner, slot_count, mesh_report, self._derived[key])
-        # In edit mode the evaluated mesh has no arrays of its own.
-        try:
-            return extract_mesh(source.owner.to_mesh(), owner, slot_count, mesh_report, self._derived[key])
-        finally:
-            source.owner.to_mesh_clear()
+        self._mesh_reports[key] = Report()
+        return read_geometry(source, self._mesh_reports[key], self._derived[key])
 
     def _extract_lights(self, gathered: Gathered, changes: Changes,
                         images: ImageCollector) -> dict[int, LightData | None]:

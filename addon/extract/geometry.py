@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a source of instances looks like, of whatever kind: its MeshData. Main thread only; keeps nothing of bpy."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...engine.report import Report
+from ...engine.scene import MeshData
+from .hair import extract_curves
+from .instances import Source
+from .mesh import extract_mesh
+from .particle_hair import extract_particle_hair
+from .volume_object import extract_volume
+
+__all__ = ["read_geometry", "read_positions"]
+
+
+def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
+    """Return the mesh, the tubes of hair or the box of a volume.
+
+    Args:
+        source: Not a lamp.
+        report: Takes what was left out or repaired.
+        derived: Attributes to work out (engine/mesh_features.py).
+    """
+    owner, slot_count = f"object '{source.name}'", len(source.material_set)
+    if source.hair:
+        return extract_particle_hair(source.owner, source.data, source.hair, owner, slot_count, report, derived)
+    if source.volume is not None:
+        return extract_volume(source.owner, source.data, source.name, report)
+    if isinstance(source.data, bpy.types.Curves):
+        return extract_curves(source.data, owner, report, derived)
+    if not source.data.is_editmode:
+        return extract_mesh(source.data, owner, slot_count, report, derived)
+    # In edit mode the evaluated mesh has no arrays of its own.
+    try:
+        return extract_mesh(source.owner.to_mesh(), owner, slot_count, report, derived)
+    finally:
+        source.owner.to_mesh_clear()
+
+
+def read_positions(source: Source) -> np.ndarray | None:
+    """Return float32 [V, 3], the vertices that `read_geometry` finds, None where they aren't followed."""
+    if source.hair or isinstance(source.data, bpy.types.Curves):
+        return read_geometry(source, Report()).positions
+    if source.volume is not None or source.data.is_editmode:
+        return None
+    attribute = source.data.attributes.get("position")
+    if attribute is None:
+        return None
+    values = np.empty(3 * len(source.data.vertices), np.float32)
+    attribute.data.foreach_get("vector", values)
+    return values.reshape(-1, 3)

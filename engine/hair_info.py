@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the Hair Info node tells, as attributes of hair.
+
+By Cycles' definitions (intern/cycles: blender/curves.cpp and kernel/geom/curve.h). Meshes that aren't hair lack the
+attributes, which then are 0. Only hair has them whose materials ask for them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .hair import SIDES, Strands, Tubes
+from .mesh_features import HAIR, STRAND, hashed
+
+__all__ = ["along_strands", "hair_attributes"]
+
+
+def along_strands(points: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return float64 [K], how far 0..1 each point is along its strand of straight pieces, and [C], their lengths.
+
+    Args:
+        points: [K, 3].
+        counts: int64 [C], points of each strand.
+    """
+    if not len(points):
+        return np.zeros(0), np.zeros(len(counts))
+    steps = np.zeros(len(points))
+    steps[1:] = np.linalg.norm(np.diff(points.astype(np.float64), axis=0), axis=1)
+    strand = np.repeat(np.arange(len(counts)), counts)
+    first = (np.cumsum(counts) - counts)[counts > 0]
+    steps[first] = 0
+    lengths = np.bincount(strand, steps, len(counts))
+    before = np.cumsum(steps)
+    start = np.zeros(len(counts))
+    start[counts > 0] = before[first]
+    return np.clip((before - start[strand]) / np.maximum(lengths, 1e-30)[strand], 0, 1), lengths
+
+
+def hair_attributes(names: frozenset[str], strands: Strands, tubes: Tubes, numbers: np.ndarray,
+                    along: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+    """Return those of HAIR and STRAND that are in `names`: float32 [T, 3, 4].
+
+    HAIR is Intercept, Length, Thickness and Random, STRAND the direction in object space, and 1.
+
+    Args:
+        names: Of attributes.
+        strands: What is drawn.
+        tubes: Around them.
+        numbers: int [C], number of each strand among all of its object.
+        along: What `along_strands` says, where points of the strands have been left out since.
+    """
+    found = {}
+    if HAIR in names:
+        intercept, lengths = along_strands(strands.points, strands.counts) if along is None else along
+        of_vertices = np.empty((len(tubes.positions), 4), np.float32)
+        of_vertices[:, 0] = tubes.of_points(intercept)
+        of_vertices[:, 1] = lengths[tubes.strand]
+        of_vertices[:, 2] = 2 * tubes.of_points(strands.radii)
+        of_vertices[:, 3] = (hashed(numbers, 2) / np.float32(0xFFFFFFFF))[tubes.strand]
+        found[HAIR] = of_vertices[tubes.triangles]
+    if STRAND in names:
+        directions = np.ones((len(tubes.directions), 4), np.float32)
+        directions[:, :3] = tubes.directions
+        found[STRAND] = directions[tubes.triangles // SIDES]
+    return found
