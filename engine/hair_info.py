@@ -26,14 +26,13 @@ def along_strands(points: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, n
         return np.zeros(0), np.zeros(len(counts))
     steps = np.zeros(len(points))
     steps[1:] = np.linalg.norm(np.diff(points.astype(np.float64), axis=0), axis=1)
-    strand = np.repeat(np.arange(len(counts)), counts)
-    first = (np.cumsum(counts) - counts)[counts > 0]
+    first, last = (np.cumsum(counts) - counts)[counts > 0], np.cumsum(counts)[counts > 0] - 1
     steps[first] = 0
-    lengths = np.bincount(strand, steps, len(counts))
     before = np.cumsum(steps)
-    start = np.zeros(len(counts))
-    start[counts > 0] = before[first]
-    return np.clip((before - start[strand]) / np.maximum(lengths, 1e-30)[strand], 0, 1), lengths
+    lengths = np.zeros(len(counts))
+    lengths[counts > 0] = before[last] - before[first]
+    start, length = (np.repeat(values, counts[counts > 0]) for values in (before[first], lengths[counts > 0]))
+    return (before - start) / np.maximum(length, 1e-30), lengths
 
 
 def hair_attributes(names: frozenset[str], strands: Strands, tubes: Tubes, numbers: np.ndarray,
