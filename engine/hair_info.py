@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the Hair Info node tells, as attributes of hair.
+"""What the Hair Info node and Generated coordinates tell, as attributes of hair.
 
 By Cycles' definitions (intern/cycles: blender/curves.cpp and kernel/geom/curve.h). Meshes that aren't hair lack the
 attributes, which then are 0. Only hair has them whose materials ask for them.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .hair import SIDES, Strands, Tubes
-from .mesh_features import HAIR, STRAND, hashed
+from .mesh_features import HAIR, ROOT, STRAND, hashed
 
 __all__ = ["along_strands", "hair_attributes"]
 
@@ -36,10 +36,12 @@ def along_strands(points: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, n
 
 
 def hair_attributes(names: frozenset[str], strands: Strands, tubes: Tubes, numbers: np.ndarray,
-                    along: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, np.ndarray]:
-    """Return those of HAIR and STRAND that are in `names`: float32 [T, 3, 4].
+                    along: tuple[np.ndarray, np.ndarray] | None = None,
+                    roots: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Return those of HAIR, ROOT and STRAND that are in `names`: float32 [T, 3, 4].
 
-    HAIR is Intercept, Length, Thickness and Random, STRAND the direction in object space, and 1.
+    HAIR is Intercept, Length, Thickness and Random, ROOT what Generated coordinates are, and 1, STRAND the direction in
+    object space, and 1.
 
     Args:
         names: Of attributes.
@@ -47,6 +49,7 @@ def hair_attributes(names: frozenset[str], strands: Strands, tubes: Tubes, numbe
         tubes: Around them.
         numbers: int [C], number of each strand among all of its object.
         along: What `along_strands` says, where points of the strands have been left out since.
+        roots: [C, 3], Generated coordinates where they are those of the strands' roots.
     """
     found = {}
     if HAIR in names:
@@ -61,4 +64,8 @@ def hair_attributes(names: frozenset[str], strands: Strands, tubes: Tubes, numbe
         directions = np.ones((len(tubes.directions), 4), np.float32)
         directions[:, :3] = tubes.directions
         found[STRAND] = directions[tubes.triangles // SIDES]
+    if ROOT in names and roots is not None:
+        of_strands = np.ones((len(roots), 4), np.float32)
+        of_strands[:, :3] = roots
+        found[ROOT] = of_strands[tubes.strand[tubes.triangles]]
     return found

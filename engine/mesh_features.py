@@ -14,18 +14,19 @@ import warp as wp
 from ..kernels.mesh_islands import join_edges
 from .device import start_warp
 
-__all__ = ["HAIR", "ISLAND", "POINTINESS", "STRAND", "derived_names", "hashed", "pointiness", "random_per_island"]
+__all__ = ["HAIR", "ISLAND", "POINTINESS", "ROOT", "STRAND", "derived_names", "hashed", "pointiness",
+           "random_per_island"]
 
 ISLAND, POINTINESS = ".island", ".pointiness"
 """Names of attributes in programs and meshes"""
 
-HAIR, STRAND = ".hair", ".strand"
+HAIR, ROOT, STRAND = ".hair", ".root", ".strand"
 """Of hair (hair_info.py)"""
 
 
 def derived_names(names) -> frozenset[str]:
     """Return which of these attributes must be worked out."""
-    return frozenset(names) & {ISLAND, POINTINESS, HAIR, STRAND}
+    return frozenset(names) & {ISLAND, POINTINESS, HAIR, ROOT, STRAND}
 
 
 def random_per_island(vertex_count: int, edges: np.ndarray) -> np.ndarray:

@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import bpy
 import numpy as np
 
 from ...engine.report import Report
 from ...engine.scene import MeshData
 from .hair import extract_curves
-from .instances import Source
+from .instances import Gathered, Source
 from .mesh import extract_mesh
 from .particle_hair import extract_particle_hair
 from .volume_object import extract_volume
 
-__all__ = ["read_geometry", "read_positions"]
+__all__ = ["materials_of_hair", "read_geometry", "read_positions"]
 
 
 def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
@@ -39,6 +41,12 @@ def read_geometry(source: Source, report: Report, derived: frozenset[str] = froz
         return extract_mesh(source.owner.to_mesh(), owner, slot_count, report, derived)
     finally:
         source.owner.to_mesh_clear()
+
+
+def materials_of_hair(gathered: Gathered) -> frozenset[Hashable]:
+    """Return the keys of the materials that hair has."""
+    return frozenset(key for source in gathered.sources if source.hair or isinstance(source.data, bpy.types.Curves)
+                     for key in source.material_set)
 
 
 def read_positions(source: Source) -> np.ndarray | None:

@@ -72,9 +72,8 @@ def thinned(counts: np.ndarray, owner: str, report: Report) -> tuple[int, int]:
 
 
 def tube_mesh(name: str, tubes: Tubes, slots: np.ndarray, uv_maps: dict[str, np.ndarray],
-              attributes: dict[str, np.ndarray], owner: str, report: Report,
-              generated: tuple[np.ndarray, np.ndarray] | None = None) -> MeshData:
-    """Return tubes as a mesh, cleaned.
+              attributes: dict[str, np.ndarray], owner: str, report: Report) -> MeshData:
+    """Return tubes as a mesh, cleaned, whose Generated coordinates are those of the object.
 
     Args:
         name: Of the mesh.
@@ -84,13 +83,13 @@ def tube_mesh(name: str, tubes: Tubes, slots: np.ndarray, uv_maps: dict[str, np.
         attributes: As in MeshData.
         owner: Name for messages.
         report: Takes what was repaired.
-        generated: As in MeshData.
     """
     strand = tubes.strand[::SIDES]
     material_slots = slots[strand[tubes.triangles[:, 0] // SIDES]] if len(tubes.triangles) else np.zeros(0, np.int32)
     data, found = sanitize_mesh(MeshData(
         name=name, positions=tubes.positions, triangles=tubes.triangles, material_slots=material_slots,
-        corner_normals=tubes.normals[tubes.triangles], uv_maps=uv_maps, attributes=attributes, generated=generated))
+        corner_normals=tubes.normals[tubes.triangles], uv_maps=uv_maps, attributes=attributes,
+        generated=(np.full(3, 0.5, np.float32), np.full(3, 0.5, np.float32))))
     report_counts(report, owner, found)
     return data
 

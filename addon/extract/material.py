@@ -13,6 +13,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from ...engine.one_sided import hide_back_of_hair
 from ...engine.pass_names import COLOR_AOV, VALUE_AOV
 from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
@@ -91,7 +92,7 @@ def extract_aovs(tree, aovs: tuple[str, ...], images, report: Report, owner: str
 
 
 def extract_material(material: bpy.types.Material, images, report: Report, aovs: tuple[str, ...] = (),
-                     layer: Layer = no_property) -> MaterialData:
+                     layer: Layer = no_property, hair: bool = False) -> MaterialData:
     """Compile a material.
 
     Args:
@@ -100,6 +101,7 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         report: Receives what is approximated or left out.
         aovs: Passes of shader AOVs, from passes.aov_source.
         layer: Returns a property of the view layer.
+        hair: Whether hair has the material.
     """
     owner = f"material '{material.name}'"
     data = MaterialData(name=material.name, program=Program(), pass_index=material.pass_index)
@@ -112,7 +114,7 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         return data
     # The tree dies with its wrapper: the variable keeps it alive.
     inlined = bpy.types.InlineShaderNodes.from_material(material)
-    graph = make_graph(inlined.node_tree, images, report, owner, layer=layer)
+    graph = make_graph(inlined.node_tree, images, report, owner, layer=layer, hair=hair)
     try:
         output = output_node(inlined.node_tree)
         compile_surface(graph, material, output)
@@ -121,13 +123,13 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
         data.bare = bool(data.medium) and graph.source(output, "Surface") is None
         data.program = graph.builder.finish()
         if graph.wants_exact:
-            data.exact = extract_exact(material, inlined.node_tree, output, images, report, owner, layer)
+            data.exact = extract_exact(material, inlined.node_tree, output, images, report, owner, layer, hair)
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
         graph.builder = ProgramBuilder()
         graph.builder.closure("DIFFUSE", 1.0, color=tuple(material.diffuse_color)[:3])
         data.program = graph.builder.finish()
-    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, layer=layer)
+    data.aovs = extract_aovs(inlined.node_tree, aovs, images, report, owner, layer=layer, hair=hair)
     data.has_transparency = graph.builder.has_transparency()
     data.has_emission = graph.builder.has_emission()
     data.constant_emission = graph.builder.constant_emission() if data.has_emission else None
@@ -135,10 +137,10 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
 
 
 def extract_exact(material: bpy.types.Material, tree, output, images, report: Report, owner: str,
-                  layer: Layer) -> Program | None:
+                  layer: Layer, hair: bool) -> Program | None:
     """Compile a surface with all that its nodes can do; None where that is too large."""
     said = Report()
-    graph = make_graph(tree, images, said, owner, layer=layer, exact=True)
+    graph = make_graph(tree, images, said, owner, layer=layer, exact=True, hair=hair)
     try:
         compile_surface(graph, material, output)
         program = graph.builder.finish()
@@ -168,6 +170,8 @@ def compile_surface(graph: Graph, material: bpy.types.Material, output) -> None:
     else:
         # A colour plugged into a shader socket emits, as in Blender.
         graph.builder.emit(graph.convert(graph.output(*source), source[1].type, 'RGBA'), 1.0, 1.0)
+    if graph.hair:
+        hide_back_of_hair(graph.builder)
 
 
 def displacement_normal(graph: Graph, material: bpy.types.Material, output) -> Value:

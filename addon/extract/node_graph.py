@@ -50,7 +50,7 @@ class Graph:
 
     def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False,
                  lamp: bool = False, layer: Callable[[str], tuple[float, ...]] = no_property,
-                 exact: bool = False):
+                 exact: bool = False, hair: bool = False):
         """Index the links of `tree`.
 
         Args:
@@ -63,6 +63,7 @@ class Graph:
             lamp: Whether it is a lamp's, which has no mesh.
             layer: Returns a property of the view layer.
             exact: Whether it is for MaterialData.exact, where nodes may send rays.
+            hair: Whether hair has the material.
         """
         self.builder = builder
         self.images = images
@@ -72,6 +73,7 @@ class Graph:
         self.lamp = lamp
         self.layer = layer
         self.exact = exact
+        self.hair = hair
         self.wants_exact = False
         """Whether an exact program would say more than this one"""
         self.tree = tree

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ...engine.mesh_features import HAIR, ISLAND, POINTINESS, STRAND
+from ...engine.mesh_features import HAIR, ISLAND, POINTINESS, ROOT, STRAND
 from ...engine.object_properties import particle_name, property_name
 from ...engine.program import Value, tangent_attribute
 from ...engine.report import ReportKind
@@ -43,6 +43,16 @@ def uv_coordinate(graph: Graph, name: str) -> Value:
     return build.input("PARAMETRIC") if graph.lamp else build.uv(name)
 
 
+def generated_coordinate(graph: Graph) -> Value:
+    """Return the place within the texture space; of particle hair that of each strand's root."""
+    build = graph.builder
+    here = build.input("GENERATED")
+    if not graph.hair:
+        return here
+    root = build.attribute(ROOT)
+    return build.mix("MIX", build.component(root, 3), build.rgb(here), build.rgb(root))
+
+
 @translates("ShaderNodeTexCoord")
 def texture_coordinate_node(graph: Graph, node, output: str) -> Value:
     """Texture Coordinate."""
@@ -55,7 +65,9 @@ def texture_coordinate_node(graph: Graph, node, output: str) -> Value:
         return build.transform(inverse_rows(node.object.matrix_world), build.input("POSITION"))
     if output == "Camera":
         return build.camera_space(direction=graph.world)
-    names = {"Generated": "GENERATED", "Normal": "OBJECT_NORMAL", "Object": "OBJECT", "Window": "WINDOW",
+    if output == "Generated":
+        return generated_coordinate(graph)
+    names = {"Normal": "OBJECT_NORMAL", "Object": "OBJECT", "Window": "WINDOW",
              "Reflection": "REFLECTION"}
     return build.input(names[output])
 
@@ -104,6 +116,24 @@ def color_attribute_node(graph: Graph, node, output: str) -> Value:
     return attribute(graph, node.layer_name, output)
 
 
+def strand_direction(graph: Graph) -> tuple[Value, Value]:
+    """Return the direction along a strand in the world, and 1 on hair, 0 elsewhere."""
+    build = graph.builder
+    strand = build.attribute(STRAND)
+    along = build.vector("NORMALIZE", build.space("DIRECTION_TO_WORLD", build.rgb(strand)))
+    return along, build.component(strand, 3)
+
+
+def surface_tangent(graph: Graph) -> Value:
+    """Return the tangent around the texture space's z axis, along the strand on hair."""
+    build = graph.builder
+    around = build.input("TANGENT_Z")
+    if not graph.hair:
+        return around
+    along, is_strand = strand_direction(graph)
+    return build.mix("MIX", is_strand, around, along)
+
+
 @translates("ShaderNodeNewGeometry")
 def geometry_node(graph: Graph, node, output: str) -> Value:
     """Geometry."""
@@ -112,7 +142,9 @@ def geometry_node(graph: Graph, node, output: str) -> Value:
         if graph.world or graph.lamp:
             return build.constant(0.0)
         return build.rgb(build.attribute(POINTINESS if output == "Pointiness" else ISLAND))
-    names = {"Position": "POSITION", "Normal": "NORMAL", "Tangent": "TANGENT_Z", "True Normal": "TRUE_NORMAL",
+    if output == "Tangent":
+        return surface_tangent(graph)
+    names = {"Position": "POSITION", "Normal": "NORMAL", "True Normal": "TRUE_NORMAL",
              "Incoming": "INCOMING", "Parametric": "PARAMETRIC", "Backfacing": "BACKFACING"}
     return build.input(names[output])
 
@@ -171,12 +203,10 @@ def hair_info_node(graph: Graph, node, output: str) -> Value:
     facts = ("Intercept", "Length", "Thickness", "Random")
     if output in facts:
         return build.component(build.attribute(HAIR), facts.index(output))
-    strand = build.attribute(STRAND)
-    is_strand = build.component(strand, 3)
+    along, is_strand = strand_direction(graph)
     if output == "Is Strand":
         return is_strand
     # Towards the eye, but across the strand (kernel/geom/curve.h, curve_tangent_normal).
-    along = build.vector("NORMALIZE", build.space("DIRECTION_TO_WORLD", build.rgb(strand)))
     incoming = build.input("INCOMING")
     part = build.vector("MULTIPLY", along, build.vector("DOT_PRODUCT", along, incoming))
     across = build.vector("SUBTRACT", incoming, part)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from ...engine.program import Value
 from ...engine.report import ReportKind
 from .node_graph import UNEXPECTED, Graph
-from .node_inputs import perturbed_normal
+from .node_inputs import perturbed_normal, surface_tangent
 
 __all__ = ["add_shader"]
 
@@ -53,11 +53,11 @@ def branches(graph: Graph, node, weight: Value) -> list[tuple]:
 
 
 def tangent(graph: Graph, node, anisotropic: Value) -> Value:
-    """Return the tangent for anisotropy: the input, else around the texture space's z axis; 0 where not needed."""
+    """Return the tangent for anisotropy: the input, else the surface's own; 0 where not needed."""
     build = graph.builder
     if anisotropic.constant is not None and anisotropic.constant[0] == 0.0:
         return build.constant(0.0)
-    return graph.linked_or(node, "Tangent", lambda: build.input("TANGENT_Z"))
+    return graph.linked_or(node, "Tangent", lambda: surface_tangent(graph))
 
 
 def is_zero(value: Value) -> bool:

@@ -8,7 +8,7 @@ from mathutils import Euler, Matrix
 from ...engine.program import Value
 from ...engine.report import ReportKind
 from .node_graph import Graph, translates
-from .node_inputs import is_identity, uv_coordinate
+from .node_inputs import generated_coordinate, is_identity, uv_coordinate
 
 __all__: list[str] = []
 
@@ -24,7 +24,7 @@ def coordinate(graph: Graph, node, default: str) -> Value:
     def unlinked() -> Value:
         if default == "UV":
             return uv_coordinate(graph, "")
-        return build.input(default)
+        return generated_coordinate(graph) if default == "GENERATED" else build.input(default)
 
     vector = build.rgb(graph.linked_or(node, "Vector", unlinked))
     mapping = node.texture_mapping
@@ -115,7 +115,7 @@ def white_noise_node(graph: Graph, node, output: str) -> Value:
     build = graph.builder
     count = int(node.noise_dimensions[0])
     w = graph.value(node, "W")
-    vector = w if count == 1 else build.rgb(graph.linked_or(node, "Vector", lambda: build.input("GENERATED")))
+    vector = w if count == 1 else build.rgb(graph.linked_or(node, "Vector", lambda: generated_coordinate(graph)))
     kind = "WHITE_NOISE_COLOR_1" if output == "Color" else "WHITE_NOISE_1"
     return build.white_noise(kind, count, vector, w)
 

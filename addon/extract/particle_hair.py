@@ -70,9 +70,12 @@ def extract_particle_hair(owner: bpy.types.Object, mesh: bpy.types.Mesh, mode: s
     slots = np.concatenate([np.full(len(each.numbers), min(max(each.settings.material, 1), max(slot_count, 1)) - 1,
                                     np.int32) for each in systems] or [np.zeros(0, np.int32)])
     uv_maps, attributes = _of_emitter(systems, mesh, tubes)
-    attributes |= hair_attributes(derived, strands, tubes, numbers, along)
-    space = (np.array(mesh.texspace_location, np.float32), np.array(mesh.texspace_size, np.float32))
-    return tube_mesh(mesh.name, tubes, slots, uv_maps, attributes, name, report, space)
+    roots = np.zeros((len(strands.counts), 3))
+    drawn = strands.counts > 0
+    roots[drawn] = strands.points[(np.cumsum(strands.counts) - strands.counts)[drawn]]
+    roots = 0.5 + 0.5 * (roots - np.array(mesh.texspace_location)) / np.array(mesh.texspace_size)
+    attributes |= hair_attributes(derived, strands, tubes, numbers, along, roots)
+    return tube_mesh(mesh.name, tubes, slots, uv_maps, attributes, name, report)
 
 
 def _systems(owner: bpy.types.Object, mode: str) -> Iterator[_System]:

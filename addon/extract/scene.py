@@ -20,7 +20,7 @@ from ...engine.report import Report
 from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
-from .geometry import read_geometry
+from .geometry import materials_of_hair, read_geometry
 from .image import ImageCollector
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
@@ -95,6 +95,7 @@ class SceneExtractor:
         self._object_lights: list[LightData] = []
         self._light_shaders: dict[int, tuple[tuple, Report]] = {}
         self._materials: dict[Hashable, tuple[MaterialData, Report]] = {}
+        self._on_hair: frozenset[Hashable] = frozenset()
         self._world: WorldData | None = None
         self._world_uid: int | None = None
         self._world_report = Report()
@@ -323,20 +324,21 @@ class SceneExtractor:
         from .material import extract_material
 
         everything = changes.everything or bool(changes.images)
-        kept = {}
+        kept, on_hair = {}, materials_of_hair(gathered)
         for number, (key, material) in enumerate(gathered.materials.items()):
             old = self._materials.get(key)
-            if old is not None and not everything and key not in changes.materials:
+            same_use = (key in on_hair) == (key in self._on_hair)
+            if old is not None and same_use and not everything and key not in changes.materials:
                 kept[key] = old
                 continue
             callbacks.step(f"Reading material '{material.name}'", number / len(gathered.materials))
             material_report = Report()
-            data = extract_material(material, images, material_report, self._aovs, self._layer)
+            data = extract_material(material, images, material_report, self._aovs, self._layer, key in on_hair)
             self.counts.materials += 1
             if old is None or not same_fields(data, old[0]):
                 delta.materials[key] = data
             kept[key] = (data, material_report)
-        self._materials = kept
+        self._materials, self._on_hair = kept, on_hair
 
     def _extract_world(self, delta: SceneDelta, depsgraph: bpy.types.Depsgraph, changes: Changes,
                        images: ImageCollector) -> None:
