@@ -20,9 +20,9 @@ _WIDER = np.pi / (SIDES * np.sin(np.pi / SIDES))
 
 _TURN = np.pi * (3 - 5 ** 0.5)  # the golden angle
 
-# How far pieces may be off their curve: of their length (bends of 2.3 degrees) and of their radius.
-_LENGTH_SHARE, _RADIUS_SHARE = 0.005, 0.25
-_PIECES_OFF = 0.01  # share of pieces that may be further off
+# How far pieces may be off their curve: of the strand's length and of its mean radius.
+_LENGTH_SHARE, _RADIUS_SHARE = 0.0015, 0.25
+_PIECES_OFF = 0.02  # share of pieces that may be further off
 _RADIUS_OFF = 0.03  # of a strand's largest radius, where points are spared
 
 
@@ -87,7 +87,7 @@ def needed_steps(strands: Strands, most: int) -> int:
     counts = strands.counts[strands.counts > 0]
     follows[np.cumsum(counts) - 1] = False
     b = np.flatnonzero(follows)
-    if not len(b):
+    if most == 1 or not len(b):
         return 1
     first = np.repeat(np.cumsum(counts) - counts, counts)[b]
     last = np.repeat(np.cumsum(counts) - 1, counts)[b]
@@ -99,7 +99,10 @@ def needed_steps(strands: Strands, most: int) -> int:
     inner = (b > first) & (b + 1 < last)
     along = ((points[b] + c - a - d) * (c - points[b])).sum(1) / (16 * np.maximum(length, 1e-20))
     off = np.where(inner, off, np.sqrt(np.maximum(off ** 2 - along ** 2, 0)))
-    wanted = np.sqrt(off / np.maximum(_LENGTH_SHARE * length + _RADIUS_SHARE * strands.radii[b], 1e-20))
+    strand = np.repeat(np.arange(len(counts)), counts)
+    width = np.bincount(strand, strands.radii) / counts
+    allowed = _LENGTH_SHARE * np.bincount(strand[b], length, len(counts)) + _RADIUS_SHARE * width
+    wanted = np.sqrt(off / np.maximum(allowed[strand[b]], 1e-20))
     steps = 1
     while steps < most and (wanted > steps).mean() > _PIECES_OFF:
         steps *= 2
@@ -126,6 +129,8 @@ def _would_do(points: np.ndarray, radii: np.ndarray, stride: int) -> bool:
     """Return whether all points but every `stride`-th may be left out."""
     a, b = points[:, :-1:stride], points[:, stride::stride]
     way = b - a
+    lengths = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1, keepdims=True)
+    allowed = _LENGTH_SHARE * lengths + _RADIUS_SHARE * radii.mean(1, keepdims=True)
     length = np.linalg.norm(way, axis=2)
     direction = way / np.maximum(length, 1e-20)[..., None]
     largest = radii.max(1, keepdims=True)
@@ -135,7 +140,7 @@ def _would_do(points: np.ndarray, radii: np.ndarray, stride: int) -> bool:
         across = np.linalg.norm(off - direction * along[..., None], axis=2)
         share = np.clip(along / np.maximum(length, 1e-20), 0, 1)
         radius = radii[:, :-1:stride] * (1 - share) + radii[:, stride::stride] * share
-        bad = across > _LENGTH_SHARE * length + _RADIUS_SHARE * radii[:, offset::stride]
+        bad = across > allowed
         bad |= np.abs(radius - radii[:, offset::stride]) > _RADIUS_OFF * largest
         if bad.mean() > _PIECES_OFF:
             return False

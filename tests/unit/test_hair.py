@@ -83,7 +83,9 @@ def test_pieces_follow_the_bends():
         radii = np.full(count * length, 1e-4, np.float32)
         return needed_steps(Strands(points.reshape(-1, 3), radii, np.full(count, length)), 8)
     assert steps(straight(3, 4, 0.1).points.reshape(3, 4, 3)) == 1
-    assert [steps(arcs(3, 9, angle)) for angle in (0.2, 1.2, 3.0)] == [1, 2, 4]
+    assert [steps(arcs(3, 9, angle)) for angle in (0.2, 1.2, 4.0)] == [1, 2, 4]
+    lone = Strands(np.concatenate([arcs(1, 9, 4.0)[0], np.ones((1, 3))]), np.full(10, 1e-4), np.array([9, 0, 1]))
+    assert needed_steps(lone, 8) == 4, "strands of a single point don't count"
     assert needed_steps(Strands(np.empty((0, 3), np.float32), np.empty(0, np.float32), np.empty(0, np.int64)), 4) == 1
 
 
