@@ -212,6 +212,13 @@ radius.data.foreach_set("value", [0.1, 0.1, 0.1, 0.2, 0.2])
 hair.attributes.new("surface_uv", 'FLOAT2', 'CURVE').data.foreach_set("vector", [0.25, 0.5, 0.75, 1.0])
 hair.attributes.new("shade", 'FLOAT', 'POINT').data.foreach_set("value", [0, 1, 2, 7, 7])
 link("Hair", hair); link("Bald", bpy.data.hair_curves.new("Bald"))
+sizes = {}
+for kind in ('CATMULL_ROM', 'POLY'):
+    bent = bpy.data.hair_curves.new(kind); bent.add_curves([3]); bent.set_types(type=kind); link(kind, bent)
+    bent.attributes["position"].data.foreach_set("vector", [0, 0, 0, 0, 0, 1, 0, 1, 1])
+    delta, _, _ = extract_all()
+    sizes[kind] = len(delta.meshes[delta.instances.mesh_keys[-1]].triangles)
+    bpy.data.objects.remove(bpy.data.objects[kind])
 delta, report, _ = extract_all()
 mesh = delta.meshes[delta.instances.mesh_keys[delta.instances.mesh_index[names(delta.instances).index("Hair")]]]
 corners = mesh.positions[mesh.triangles]
@@ -220,8 +227,9 @@ finish(names=names(delta.instances), triangles=len(mesh.triangles), low=mesh.pos
        uv=sorted(set(map(tuple, mesh.uv_maps["surface_uv"].reshape(-1, 2).tolist()))),
        # Next to their ends, which count twice, the curves run up to 0.07 slower or faster than the attributes.
        error=float(abs(mesh.attributes["shade"][..., 0] - corners[..., 2])[corners[..., 0] < 2].max()),
-       told=[entry.message for entry in report.entries()])
+       told=[entry.message for entry in report.entries()], sizes=sizes)
 ''')
+    assert result["sizes"] == {"CATMULL_ROM": 2 * 4 * 12, "POLY": 2 * 12}, "polygons are straight between points"
     assert result["names"] == ["Hair"] and not result["told"]
     assert result["triangles"] == (2 + 1) * 12, "what is straight needs no pieces between points"
     assert 0.09 < -result["low"][0] < 0.105 and 5.18 < result["high"][0] < 5.21 and abs(result["high"][2] - 2) < 1e-5
