@@ -165,6 +165,23 @@ finish(plain=plain, asked=asked, again=again, told=viewport.report.text())
     assert result["again"]["meshes"] == 0 and result["told"] == ""
 
 
+def test_positions_for_motion(run_extraction):
+    """Places in other frames are those of the vertices that are drawn, of hair and of meshes."""
+    result = run_extraction(FURRY + r'''
+from burnish.addon.extract.geometry import read_geometry, read_positions
+from burnish.addon.extract.instances import gather_instances
+furry("Cat", brownian_factor=0.2)
+hair = bpy.data.hair_curves.new("Hair"); hair.add_curves([3, 2])
+hair.attributes["position"].data.foreach_set("vector", [0, 0, 0, 0, 1, 1, 0, 0, 2, 5, 0, 0, 5, 0, 1])
+link("Hair", hair)
+gathered = gather_instances(bpy.context.evaluated_depsgraph_get(), space=None, report=Report())
+def same(source):
+    return bool((read_positions(source) == read_geometry(source, Report()).positions).all())
+finish(same=[[source.name, source.hair, same(source)] for source in gathered.sources])
+''')
+    assert result["same"] == [["Cat", "", True], ["Cat", "VIEWPORT", True], ["Hair", "", True]]
+
+
 def test_hair_of_objects(run_extraction):
     """Hair drawn as objects or a collection makes instances and no strands."""
     result = run_extraction(FURRY + r'''
