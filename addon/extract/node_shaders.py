@@ -8,6 +8,7 @@ from collections.abc import Callable
 from ...engine.program import Value
 from ...engine.report import ReportKind
 from .node_graph import UNEXPECTED, Graph
+from .node_hair import principled_hair
 from .node_inputs import perturbed_normal, surface_tangent
 
 __all__ = ["add_shader"]
@@ -287,7 +288,7 @@ SHADERS: dict[str, Callable[[Graph, object, Value], None]] = {
     "ShaderNodeBsdfSheen": sheen,
     "ShaderNodeBsdfToon": toon,
     "ShaderNodeBsdfHair": as_diffuse("a hair shader"),
-    "ShaderNodeBsdfHairPrincipled": as_diffuse("a hair shader"),
+    "ShaderNodeBsdfHairPrincipled": principled_hair,
     "ShaderNodeSubsurfaceScattering": subsurface_scattering,
     "ShaderNodeBsdfTransparent": transparent,
     "ShaderNodeBsdfRayPortal": ray_portal,

@@ -182,6 +182,51 @@ finish(same=[[source.name, source.hair, same(source)] for source in gathered.sou
     assert result["same"] == [["Cat", "", True], ["Cat", "VIEWPORT", True], ["Hair", "", True]]
 
 
+def test_color_of_principled_hair(run_extraction):
+    """Melanin and absorption make the albedo that Chiang et al. give; strands differ where a random share is asked."""
+    result = run_extraction(r'''
+from burnish.addon.extract.material import make_graph
+from burnish.addon.extract.node_hair import hair_color
+from burnish.kernels import node_codes as codes
+BY_NAME = {"ADD": np.add, "SUBTRACT": np.subtract, "MULTIPLY": np.multiply, "DIVIDE": np.divide, "MAXIMUM": np.maximum,
+           "LOGARITHM": lambda a, base: np.log(a) / np.log(base), "EXPONENT": lambda a, _: np.exp(a),
+           "SQRT": lambda a, _: np.sqrt(a)}
+MATH = {int(getattr(codes, "MATH_" + name)): function for name, function in BY_NAME.items()}
+def worked_out(build, value):
+    """Return what a value of numbers comes to."""
+    if value.constant is not None:
+        return np.array(value.constant[:3])
+    a, b, c = [worked_out(build, build.values[index]) for index in (*value.args, *value.args[:1] * 2)[:3]]
+    if value.op == codes.OP_MATH:
+        return MATH[value.sub](a, b)
+    assert value.op == codes.OP_VECTOR and value.sub == codes.VECTOR_COMBINE
+    return np.array([a[0], b[0], c[0]])
+def color(parametrization, **inputs):
+    made = material("Hair"); tree = made.node_tree; tree.nodes.clear()
+    node = tree.nodes.new("ShaderNodeBsdfHairPrincipled"); node.parametrization = parametrization
+    for name, value in inputs.items():
+        node.inputs[name.replace("_", " ")].default_value = value
+    tree.links.new(node.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs[0])
+    inlined = bpy.types.InlineShaderNodes.from_material(made)
+    graph = make_graph(inlined.node_tree, None, Report(), "material", hair=True)
+    found = hair_color(graph, next(node for node in inlined.node_tree.nodes if "HairPrincipled" in node.bl_idname))
+    attributes = graph.builder.attributes
+    return [None if attributes else worked_out(graph.builder, found).tolist(), attributes]
+finish(plain=color('COLOR', Color=(0.7, 0.4, 0.2, 1)), melanin=color('MELANIN', Melanin=0.5, Melanin_Redness=0.25),
+       absorption=color('ABSORPTION', Absorption_Coefficient=(0.1, 0.4, 0.9)),
+       tint=color('MELANIN', Melanin=0.0, Tint=(0.7, 0.4, 0.2, 1)), random=color('MELANIN', Random_Color=0.5))
+''')
+    # The polynomial of a radial roughness of 0.3; without melanin the tint alone is the colour.
+    scale = np.polyval([0.245, 5.574, -10.73, 2.532, -0.215, 5.969], 0.3)
+    amount = -np.log(0.5)
+    sigma = amount * (0.75 * np.array([0.506, 0.841, 1.653]) + 0.25 * np.array([0.343, 0.733, 1.924]))
+    assert result["plain"][0][:3] == pytest.approx([0.7, 0.4, 0.2])
+    assert result["melanin"][0][:3] == pytest.approx(np.exp(-scale * np.sqrt(sigma)).tolist(), rel=1e-4)
+    assert result["absorption"][0][:3] == pytest.approx(np.exp(-scale * np.sqrt([0.1, 0.4, 0.9])).tolist(), rel=1e-4)
+    assert result["tint"][0][:3] == pytest.approx([0.7, 0.4, 0.2], rel=1e-4)
+    assert result["random"] == [None, [".hair"]]
+
+
 def test_hair_of_objects(run_extraction):
     """Hair drawn as objects or a collection makes instances and no strands."""
     result = run_extraction(FURRY + r'''
