@@ -12,6 +12,8 @@ from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
 from .packing import rgb, rgba
 from .reflection_types import (
     LOBE_TRANSMISSION,
+    PLACE_MASK,
+    PLACE_STEADY,
     REFLECTANCE_MIN,
     SAMPLE_FAR,
     ReflectionOptions,
@@ -29,6 +31,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # ReflectionBlocks.mark
 MARK_SPARK = wp.constant(1)
 MARK_MISSING = wp.constant(2)
+# In their place until mark_samples has run: the sample is no spark.
+MARK_STEADY = wp.constant(4)
+# Roughness of mirrors whose rays all meet nearly the same.
+STEADY_ROUGHNESS = wp.constant(0.03)
 # Bits above hold the jitter of the last filter, 0..JITTER_MAX.
 JITTER_SHIFT = wp.constant(2)
 JITTER_MAX = wp.constant(63.0)
@@ -267,13 +273,16 @@ def gather_samples(
     lobe = wp.uint32(0)
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     confidence = float(UNKNOWN)
+    mark = int(0)
     if pixel >= 0:
         m = load_material(gbuffer, pixel)
         if is_sampled(options, m):
             depth = gbuffer.depth[pixel]
             normal = gbuffer.normal[pixel]
             roughness = wp.uint32(wp.clamp(filter_roughness(options, m), 0.0, 1.0) * 65535.0 + 0.5)
-            place = int(samples.place[block])
+            place = int(samples.place[block] & PLACE_MASK)
+            if (samples.place[block] & PLACE_STEADY) != wp.uint8(0) and filter_roughness(options, m) < STEADY_ROUGHNESS:
+                mark = MARK_STEADY
             lobe = roughness | (wp.uint32(place % options.stride) << wp.uint32(16))
             lobe = lobe | (wp.uint32(place // options.stride) << wp.uint32(24))
             found = unpack_halves(samples.radiance[block])
@@ -283,6 +292,7 @@ def gather_samples(
                 near = wp.where(found[3] > 0.0, 1.0 / wp.clamp(found[3], 1.0 / SAMPLE_FAR, SAMPLE_FAR), 0.0)
                 light = rgba(color, near)
                 confidence = float(1.0)
+    blocks_out.mark[block] = wp.uint8(mark)
     blocks_out.surface[block] = wp.uint64(wp.cast(depth, wp.uint32)) | (wp.uint64(normal) << wp.uint64(32))
     lights_out.light[block] = pack_halves(light)
     lights_out.state[block] = pack_state(light_strength(rgb(light)), confidence, lobe)

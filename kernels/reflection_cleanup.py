@@ -4,7 +4,8 @@
 The rank test (after Mara et al. 2017) is one that fires: a sample is a spark where fewer than a tenth of its neighbours
 come near it. A replaced spark alone would darken, most where light comes in rare bright samples; what it had is spread
 over its neighbours, so that a flash becomes a faint glow of the same energy. Soon at rest ever less is spread, so that
-what is sharp and bright in a reflection, thin lamps above all, becomes no wider than it is.
+what is sharp and bright in a reflection, thin lamps above all, becomes no wider than it is. What a mirror shows of
+lamps and shining surfaces is no chance, and never a spark.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from .reflection_blocks import (
     JITTER_SHIFT,
     MARK_MISSING,
     MARK_SPARK,
+    MARK_STEADY,
     FilterCentre,
     FilterTap,
     ReflectionBlocks,
@@ -131,6 +133,7 @@ def mark_samples(
     """
     block = first + wp.tid()
     mark = int(0)
+    steady = int(blocks.mark[block]) == MARK_STEADY
     light = unpack_halves(lights.light[block])
     state = lights.state[block]
     excess = wp.vec3(0.0, 0.0, 0.0)
@@ -173,7 +176,7 @@ def mark_samples(
         if unpack_state(state)[1] < 0.0:
             mark = MARK_MISSING
         elif (
-            cleanup == 1 and own > 0.0 and share > 0.0 and count >= NEIGHBORS_MINIMUM
+            cleanup == 1 and not steady and own > 0.0 and share > 0.0 and count >= NEIGHBORS_MINIMUM
             and near < NEAR_NEIGHBORS * count
         ):
             mark = MARK_SPARK

@@ -25,6 +25,7 @@ from .probe_types import CELLS, FAR, TILE, ProbeGrid, ProbePool
 from .reflection_rays import sequence_index, sequence_seed
 from .reflection_start import drawn_pdf
 from .reflection_types import (
+    PLACE_MASK,
     SAMPLE_FAR,
     SOURCE_COAT,
     SOURCE_PROBE,
@@ -229,7 +230,7 @@ def look_up_probes(
     kind = source[block]
     if kind != SOURCE_PROBE and kind != SOURCE_COAT:
         return
-    place = int(samples_out.place[block])
+    place = int(samples_out.place[block] & PLACE_MASK)
     pixel = place_pixel(options, block, place)
     view = load_view(views)
     s = load_surface(view, gbuffer, options.width, pixel)

@@ -27,7 +27,7 @@ from .packed_halves import pack_halves
 from .packing import HALF_MAX, rgb, rgba, unpack_normal
 from .paths import Paths
 from .reflection_rays import FOUND_CELL, FOUND_DIRECT, FOUND_OWN, ReflectionRays, ray_count
-from .reflection_types import ReflectionOptions, ReflectionSamples
+from .reflection_types import LOBE_REFLECTION, PLACE_STEADY, ReflectionOptions, ReflectionSamples
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -39,6 +39,8 @@ SPARK_SAMPLES = wp.constant(16.0)
 ENOUGH_SAMPLES = wp.constant(4.0)
 # Density [1/sr] of a ray's widest lobe from which on it shows single cells: up to a roughness of about 0.17.
 SHARP_DENSITY = wp.constant(100.0)
+# Share of a sample's light that is emitted where its ray ends, from which on it is no chance.
+STEADY_SHARE = wp.constant(0.75)
 # Frames at rest over which hits of sharp reflections go over from their cells' means to their own light.
 OWN_START = wp.constant(8.0)
 OWN_END = wp.constant(48.0)
@@ -177,17 +179,36 @@ def hit_light(
 
 
 @wp.func
-def store_sample(
-    view: View, paths: Paths, vertices: Vertices, rays: ReflectionRays, samples: ReflectionSamples, slot: int,
+def is_steady(
+    options: ReflectionOptions, paths: Paths, vertices: Vertices, samples: ReflectionSamples, slot: int, block: int,
     found: wp.vec3,
+) -> bool:
+    """Return whether what a ray has found is emitted by what it has met first, so that only its lobe makes it chance.
+
+    Which way rays go on from there, over mirrors and through glass, is drawn too.
+    """
+    if options.lobe != LOBE_REFLECTION:
+        return False
+    # Rays that have gone on have the density of their last direction.
+    emitted = max_component(rgb(vertices.emission[slot]))
+    return samples.pdf[block] == paths.pdf[slot] and emitted > STEADY_SHARE * max_component(found)
+
+
+@wp.func
+def store_sample(
+    view: View, options: ReflectionOptions, paths: Paths, vertices: Vertices, rays: ReflectionRays,
+    samples: ReflectionSamples, slot: int, found: wp.vec3,
 ):
     """Write the sample of a ray that has found that light."""
+    block = rays.block[slot]
+    if is_steady(options, paths, vertices, samples, slot, block, found):
+        samples.place[block] = samples.place[block] | PLACE_STEADY
     light = found * view.exposure
     if not is_finite3(light):
         light = wp.vec3(0.0, 0.0, 0.0)
     light = wp.vec3(wp.clamp(light[0], 0.0, HALF_MAX), wp.clamp(light[1], 0.0, HALF_MAX),
                     wp.clamp(light[2], 0.0, HALF_MAX))
-    samples.radiance[rays.block[slot]] = pack_halves(rgba(light, vertices.emission[slot][3]))
+    samples.radiance[block] = pack_halves(rgba(light, vertices.emission[slot][3]))
 
 
 @wp.kernel
@@ -219,4 +240,4 @@ def resolve_reflections(
         arriving = hit_light(view, grid, paths, vertices, rays_out, slot, own_light, jitter)
         light = light + wp.cw_mul(
             paths.throughput[slot], wp.cw_mul(reflectance, arriving.direct + arriving.indirect))
-    store_sample(view, paths, vertices, rays_out, samples_out, slot, light)
+    store_sample(view, options, paths, vertices, rays_out, samples_out, slot, light)

@@ -56,4 +56,4 @@ def resolve_glossy_reflections(
         light = light + wp.cw_mul(paths.throughput[slot], reflected)
     elif rays_out.found[slot] == FOUND_SCREEN:
         light = light + wp.cw_mul(paths.throughput[slot], wp.cw_mul(lobe_albedo(rays_out.lobe[slot]), sampled))
-    store_sample(view, paths, vertices, rays_out, samples_out, slot, light)
+    store_sample(view, options, paths, vertices, rays_out, samples_out, slot, light)

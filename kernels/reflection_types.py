@@ -21,6 +21,10 @@ LOBE_DIFFUSE = wp.constant(2)
 
 # ReflectionSamples.place of blocks without a sample.
 NO_SAMPLE = wp.constant(wp.uint8(255))
+# Bits of ReflectionSamples.place that hold the pixel, and one that is set beside them where the light is emitted by
+# what the ray has met first: a lamp, a shining surface, the world. In a mirror that is no noise, however bright it is.
+PLACE_MASK = wp.constant(wp.uint8(15))
+PLACE_STEADY = wp.constant(wp.uint8(64))
 
 # Where a block's sample comes from in a frame: nowhere, a traced ray, a look-up in the screen probes.
 SOURCE_NONE = wp.constant(wp.uint8(0))
@@ -69,7 +73,7 @@ class ReflectionSamples:
 
     place: wp.array[wp.uint8]
     """Pixel within the block, y * stride + x; NO_SAMPLE: nothing in the block reflects. After a sample was found
-    missing the place stays and `pdf` is 0"""
+    missing the place stays and `pdf` is 0. Once there is light with PLACE_STEADY, or without"""
     radiance: wp.array[wp.uint64]
     """pack_halves: incoming radiance * f cos / pdf / albedo, exposed (its mean times GBuffer.specular, or
     .transmitted + .translucent, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m],
@@ -102,7 +106,7 @@ def sample_pixel(options: ReflectionOptions, samples: ReflectionSamples, block: 
     place = samples.place[block]
     if place == NO_SAMPLE:
         return -1
-    return place_pixel(options, block, int(place))
+    return place_pixel(options, block, int(place & PLACE_MASK))
 
 
 @wp.func
