@@ -264,8 +264,8 @@ def test_rays_meet_what_the_maps_leave() -> None:
     rng = np.random.default_rng(7)
     origin, direction = rng.uniform(-2, 2, (1500, 3)).astype(np.float32), rng.normal(size=(1500, 3)).astype(np.float32)
     outputs = [wp.zeros((2, 1500), dtype=kind, device="cpu") for kind in (float, wp.vec2i, int)]
-    wp.launch(follow, 1500, [made.scene, *(wp.array(x, dtype=wp.vec3, device="cpu") for x in (origin, direction)),
-                             1e30], outputs, device="cpu")
+    rays = [wp.array(x, dtype=wp.vec3, device="cpu") for x in (origin, direction)]
+    wp.launch(follow, 1500, [made.scene, *rays, 1e30], outputs, device="cpu")
     t, face, solid = (output.numpy() for output in outputs)
     distances, states = crossings(made, mesh, origin.astype(float), direction.astype(float))
     seen = np.where(states == CLEAR, np.inf, distances)
@@ -288,11 +288,10 @@ def test_scenes_without_masks_do_without(monkeypatch: pytest.MonkeyPatch) -> Non
     """Launch and keep nothing without transparency, where what is clear shines, and when switched off."""
     launches = []
     launch = opacity_maps.launch_bands
-    monkeypatch.setattr(opacity_maps, "launch_bands", lambda kernel, *rest: (launches.append(kernel), launch(
-        kernel, *rest)))
-    for material, settings in (
-            (scenes.material(color=0.5), None), (masked(has_emission=True), None),
-            (masked(), PerformanceSettings(opacity_maps=False))):
+    monkeypatch.setattr(
+        opacity_maps, "launch_bands", lambda kernel, *rest: (launches.append(kernel), launch(kernel, *rest)))
+    for material, settings in ((scenes.material(color=0.5), None), (masked(has_emission=True), None),
+                               (masked(), PerformanceSettings(opacity_maps=False))):
         made = opened(material, settings=settings)
         assert launches == [] and made.opacity_maps.bytes == 0
         if made.structures.filtered.wide is not None:
@@ -345,8 +344,7 @@ def test_large_triangles_go_without_where_texels_are_too_many(monkeypatch: pytes
     """Bound the work: make maps of the triangles that cover the fewest texels."""
     mesh = leaves(8)
     size = np.repeat([0.1, 1.0], 4)
-    mesh.uv_maps["UVMap"][:] = (np.array([(0, 0), (1, 0), (0, 1)]) * size[:, None, None]).reshape(
-        mesh.uv_maps["UVMap"].shape)
+    mesh.uv_maps["UVMap"][:].flat = (np.array([(0, 0), (1, 0), (0, 1)]) * size[:, None, None]).ravel()
     monkeypatch.setitem(opacity_maps.TEXELS_MAX, "cpu", 1000.0)
     pixels = blobs()
     pixels[..., 3] = 255
