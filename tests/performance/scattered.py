@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import statistics
 import sys
 from pathlib import Path
@@ -18,12 +19,13 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from burnish.engine.generated_scenes import SceneRecipe, generate_scene, scene_flight, stone_mesh  # noqa: E402
 from burnish.engine.program import ProgramBuilder  # noqa: E402
 from burnish.engine.scene import ImageData, MaterialData, MeshData, SceneDelta  # noqa: E402
 
-from tests.performance.measured_session import Measured, settings_for  # noqa: E402  (before what it makes importable)
+from tests.performance.measured_session import Measured, settings_for  # noqa: E402
 
 SCENES = "stones:200000,rocks:600,rocks:20000,trees:2000,trees:50000"
 MATERIALS = 4
