@@ -154,8 +154,8 @@ class DeviceScene:
         filters_changed = self._plan_instances()
         rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
         geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
-        edited = np.flatnonzero(np.isin(self.plan.mesh_index, [
-            i for i, key in enumerate(self.plan.mesh_keys) if key in changed_meshes]))
+        edited = np.flatnonzero(np.isin(self.table.mesh_index, [  # also those of which nothing is left to draw
+            i for i, key in enumerate(self.table.mesh_keys) if key in changed_meshes]))
         tell("Structures", 0.5)
         with self._timed("structures"):
             if rebuild:

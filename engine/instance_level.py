@@ -27,6 +27,9 @@ __all__ = ["InstanceLevel", "MeshTree", "ObjectTrees"]
 ALONE = 50_000
 """Triangles from which a mesh gets a tree by itself, whose upper levels are mended"""
 
+FOREST = 1 << 24
+"""Triangles beyond which meshes that come next make another forest: building takes several times the memory"""
+
 GROWTH = 1.5
 """Area of all boxes, as a multiple of what it was when they were built, at which rays are the slower for it"""
 
@@ -49,7 +52,7 @@ class _Area:
 
     @property
     def outgrown(self) -> bool:
-        """Return whether it has grown too much since it was first known."""
+        """Return whether it has grown too much since it was first noted."""
         now = float(self._view[0])
         self._first = self._first or now
         return now > GROWTH * self._first
@@ -97,21 +100,24 @@ class ObjectTrees:
         if (counts < ALONE).sum() > 1:
             forest, alone = np.flatnonzero(counts < ALONE), np.flatnonzero(counts >= ALONE)
         trees: dict[int, MeshTree] = {}
-        if len(forest):
-            indices = self._upload(points, [parts[i] for i in forest])
-            wide = build_forest(points, indices, counts[forest])
+        ends = np.cumsum(counts[forest])
+        for members in np.split(forest, np.flatnonzero(np.diff(ends // FOREST)) + 1) if len(forest) else []:
+            indices = self._upload(points, [parts[i] for i in members])
+            wide = build_forest(points, indices, counts[members])
             if wide is None:
-                alone = np.arange(len(parts))
-            else:
-                self._built.append((wide, indices, _Area(points.device.alias)))
-                first = np.concatenate([[0], np.cumsum(counts[forest])]).tolist()
-                trees = {i: MeshTree(wide, root, first[root]) for root, i in enumerate(forest.tolist())}
+                alone = np.concatenate([alone, members])
+                continue
+            self._built.append((wide, indices, _Area(points.device.alias)))
+            first = np.concatenate([[0], np.cumsum(counts[members])]).tolist()
+            trees.update((i, MeshTree(wide, root, first[root])) for root, i in enumerate(members.tolist()))
         for i in alone.tolist():
             indices = self._upload(points, [parts[i]])
             wide = build_wide(points, indices, splitting=splitting and not deforming)
             self._built.append((wide, indices, _Area(points.device.alias)))
             trees[i] = MeshTree(wide, 0, 0)
-        if not deforming:
+        if deforming:
+            self._fit(points)
+        else:
             self._built.clear()
         self.trees = [trees[i] for i in range(len(parts))]
 
@@ -128,10 +134,13 @@ class ObjectTrees:
             np.array_equal(new, old) for new, old in zip(parts, self._parts, strict=True))
         if not same or any(area.outgrown for _, _, area in self._built):
             return False
+        self._fit(points)
+        return True
+
+    def _fit(self, points: wp.array) -> None:
         for wide, indices, area in self._built:
             launch(place_triangles, wide.references, [points, indices], [wide.triangles], points.device.alias)
             area.note(*wide.refit())
-        return True
 
 
 class InstanceLevel:
@@ -161,6 +170,7 @@ class InstanceLevel:
         self._rows = [wp.array(values.astype(np.int32), dtype=int, device=device) for values in (chosen, mesh_of)]
         self._trees, self._known = trees, np.zeros((len(trees), int(MESH_WORDS)), np.uint32)
         self._meshes = wp.array(self._known, dtype=wp.uint32, device=device)
+        self._fit()
 
     def write_records(self, instances: wp.array) -> None:
         """Take over the transforms of kernels.types.Instance [all], and where trees lie, in place."""
@@ -187,10 +197,13 @@ class InstanceLevel:
         for array, values, new in ((self._lower, self._low, low), (self._upper, self._high, high)):
             values[places] = new
             self._writer.write(array, values, places)
+        self._fit()
+        return True
+
+    def _fit(self) -> None:
         launch(write_boxes, len(self.chosen), [self._items, self._lower, self._upper], [self._wide.triangles],
                self.device)
         self._area.note(*self._wide.refit())
-        return True
 
     def struct(self) -> types.InstanceLevel:
         """Return it as kernels take it: the same after moves."""

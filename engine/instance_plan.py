@@ -24,7 +24,7 @@ class InstancePlan:
     filtered_slots: list[tuple[bool, ...]]
     """Per instance group: which material slots need a test per hit"""
     materials: list[tuple[Key, ...]]
-    """Per instance group: the slots' materials"""
+    """Per instance group: the slots' materials; none where all is tested, as some rays or lights pass"""
     group_index: np.ndarray
     """int [N], index into both"""
     low: np.ndarray

@@ -14,6 +14,12 @@ from .structures import RAY_KINDS
 __all__ = ["filtered_groups", "instance_bounds", "instance_rows", "scene_origin", "stops_all",
            "write_places"]
 
+LEAST_SCALE = 1e-25
+"""Of what is smaller along all axes nothing is drawn: float32 doesn't hold the way into its object space"""
+
+LEAST_HEIGHT = 1e-6
+"""What is flat has so much of its size along its lost axes on the way into its object space"""
+
 ROW_TYPE = np.dtype(types.Instance.numpy_dtype())
 """Asked for once: Warp works it out anew each time"""
 
@@ -38,6 +44,8 @@ def instance_bounds(
     with np.errstate(over="ignore", invalid="ignore"):
         center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + transforms[:, :3, 3]
         half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
+        # False for NaN too.
+        drawn &= (np.abs(linear) > LEAST_SCALE).any((1, 2))
     drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
     return drawn, np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
 
@@ -70,7 +78,10 @@ def stops_all(table: InstanceTable) -> np.ndarray:
 def filtered_groups(
     table: InstanceTable, materials: dict[Key, MaterialData],
 ) -> tuple[list[tuple[bool, ...]], list[tuple[Key, ...]], np.ndarray]:
-    """Return groups of instances: which slots are filtered, their materials, and int64 [N], each instance's group."""
+    """Return groups of instances: which slots are filtered, their materials, and int64 [N], each instance's group.
+
+    Where some rays or lights pass instances, all slots are filtered whatever their materials, of which none are told.
+    """
     transparent = [
         tuple(materials.get(key, materials[None]).has_transparency for key in keys) for keys in table.material_sets]
     partial = ~stops_all(table)
@@ -80,7 +91,8 @@ def filtered_groups(
     for value in values.tolist():
         slots = transparent[value // 2]
         groups.append(tuple(True for _ in slots) if value % 2 else slots)
-    return groups, [tuple(table.material_sets[value // 2]) for value in values.tolist()], group_index.astype(np.int64)
+    shared = [() if value % 2 else tuple(table.material_sets[value // 2]) for value in values.tolist()]
+    return groups, shared, group_index.astype(np.int64)
 
 
 def instance_rows(table: InstanceTable, ranges: list[MeshRange], origin: np.ndarray) -> np.ndarray:
@@ -122,8 +134,27 @@ def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, c
     safe[determinant == 0] = np.eye(4)
     with np.errstate(over="ignore"):
         inverse = np.linalg.inv(safe).astype(np.float32)
-    # Of what is too small for float32 to have an inverse: rays never meet it.
-    inverse[~np.isfinite(inverse).all((1, 2))] = np.eye(4)
+    flat = np.flatnonzero((determinant == 0) | ~np.isfinite(inverse).all((1, 2)))
+    if len(flat):
+        inverse[flat] = _inverse_of_flat(matrices[flat])
     rows["to_world"][chosen] = matrices
     rows["to_object"][chosen] = inverse
     rows["flipped"][chosen] = determinant < 0
+
+
+def _inverse_of_flat(matrices: np.ndarray) -> np.ndarray:
+    """Return the inverses of transforms that have none, or too large a one, if they were a little higher.
+
+    Of what is not drawn that is the identity.
+
+    Args:
+        matrices: float64 [N, 4, 4].
+    """
+    u, sizes, v = np.linalg.svd(matrices[:, :3, :3])
+    made = np.tile(np.eye(4), (len(matrices), 1, 1))
+    drawn = sizes[:, 0] > LEAST_SCALE
+    sizes = np.where(drawn[:, None], np.maximum(sizes, LEAST_HEIGHT * sizes[:, :1]), 1.0)
+    linear = np.einsum("nji,nj,nkj->nik", v, 1.0 / sizes, u)
+    made[drawn, :3, :3] = linear[drawn]
+    made[drawn, :3, 3] = -np.einsum("nij,nj->ni", linear, matrices[:, :3, 3])[drawn]
+    return made.astype(np.float32)

@@ -110,8 +110,7 @@ class InstancedMeshes:
             levels.append(InstanceLevel(
                 chosen[has], low[has], high[has], local_of[has], trees, self.device) if has.any() else None)
         self.opaque, self.filtered = levels
-        examples = chosen[np.unique(local_of, return_index=True)[1]]
-        self._find_masked(store, used, examples)
+        self._find_masked(store, used, chosen, local_of)
 
     def _build_trees(self, missing: list[Use], store: GeometryStore, edited: bool) -> None:
         for use in missing:
@@ -155,10 +154,13 @@ class InstancedMeshes:
         opaque, filtered = (part.faces for part in self.local[use].parts)
         return len(opaque) + len(filtered) == r.triangle_count and np.array_equal(filtered, expected)
 
-    def _find_masked(self, store: GeometryStore, used: list[Use], examples: np.ndarray) -> None:
+    def _find_masked(
+        self, store: GeometryStore, used: list[Use], chosen: np.ndarray, local_of: np.ndarray,
+    ) -> None:
         """Find the structures that may have opacity maps; edited meshes may have other UV maps and have none."""
-        known = {id(flat.wide): flat for flat, _ in self.masked}
-        among: dict[int, list[tuple[int, _Part, int]]] = {}
+        known = {id(flat.wide): (flat, among) for flat, among in self.masked}
+        examples = chosen[np.unique(local_of, return_index=True)[1]]
+        among: dict[int, list[tuple[int, _Part, int, int]]] = {}
         for use, example in zip(used, examples.tolist(), strict=True):
             part = self.local[use].filtered
             if part.tree is not None and not self.local[use].edited:
@@ -166,10 +168,14 @@ class InstancedMeshes:
                     (part.tree.faces, part, example, store.ranges[use[0]].triangle_start))
         self.masked = []
         for key, members in among.items():
-            wide = members[0][1].tree.wide
-            flat = known.get(key) or FlatStructure(self.device)
-            flat.wide = wide
-            faces = np.zeros((wide.references, 2), np.int32)
+            flat, before = known.get(key) or (FlatStructure(self.device), None)
+            if before is not None and np.isin(before, chosen).all():
+                # Each is of its mesh still: what is known of the triangles stays.
+                self.masked.append((flat, before))
+                continue
+            flat.wide = wide = members[0][1].tree.wide
+            # Of meshes that are gone something else is told, which nobody asks for.
+            faces = np.tile(np.array([members[0][2], members[0][3]], np.int32), (wide.references, 1))
             for first, part, example, start in members:
                 faces[first : first + len(part.faces)] = np.stack(
                     [np.full(len(part.faces), example), start + part.faces], 1)

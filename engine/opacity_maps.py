@@ -94,9 +94,10 @@ class OpacityMaps:
         for flat, among in source.structures.masked():
             maps = next((maps for maps in known if maps.wide() is flat.wide), None)
             if maps is None:
-                members = np.zeros(len(source.rows), bool)
-                members[among] = True
-                maps = _Maps(flat.wide, members, self.device)
+                maps = _Maps(flat.wide, self.device)
+            if maps.faces() is not flat.faces:
+                maps.faces, maps.members = weakref.ref(flat.faces), np.zeros(len(source.rows), bool)
+                maps.members[among] = True
             self._maps.append(maps)
             maps.update(flat, source, scene, enabled, renewed)
 
@@ -104,16 +105,18 @@ class OpacityMaps:
 class _Maps:
     """Keeps the maps in one structure up to date."""
 
-    def __init__(self, wide: WideBvh, members: np.ndarray, device: str) -> None:
+    def __init__(self, wide: WideBvh, device: str) -> None:
         """Start without any.
 
         Args:
             wide: The structure; its memory may be needed for the next one.
-            members: bool [N], the instances whose triangles it has.
             device: Where it is.
         """
         self.wide, self.device, self.bytes = weakref.ref(wide), device, 0
-        self._members = members
+        self.faces: Callable[[], wp.array | None] = lambda: None
+        """Returns the structure's, which tell of the members"""
+        self.members = np.zeros(0, bool)
+        """[N], the instances whose triangles it has"""
         self._plan: _Plan | None = None
         """What the maps in the structure are for, None without any"""
 
@@ -151,7 +154,7 @@ class _Maps:
         masked = np.array([any(key in masks for key in keys) for keys in table.material_sets], bool)
         # Objects that some rays don't see are no obstacle to those.
         seen = stops_all(table)
-        chosen = np.flatnonzero(masked[table.material_set_index] & seen & self._members & (source.plan.mesh_index >= 0))
+        chosen = np.flatnonzero(masked[table.material_set_index] & seen & self.members & (source.plan.mesh_index >= 0))
         sets = len(table.material_sets)
         groups = source.plan.mesh_index[chosen].astype(np.int64) * sets + table.material_set_index[chosen]
         return _Plan(masks, chosen, groups) if len(chosen) else None

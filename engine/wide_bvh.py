@@ -127,8 +127,8 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
     device, count = points.device.alias, len(indices) // 3
     if count > MAX_TRIANGLES:
         raise InvalidScene(
-            f"The scene has {count:,} triangles outside of instances, more than the {MAX_TRIANGLES:,} that Burnish can "
-            "keep; let objects share their meshes, or hide some")
+            f"The scene has {count:,} triangles outside of instances, or in one mesh, more than the {MAX_TRIANGLES:,} "
+            "that Burnish can keep; let objects share their meshes, or hide some")
     whole = _whole(points, indices)
     parts = (_split(points, indices, whole) if splitting else None) or whole
     nodes, items, levels = build_over(parts.lower, parts.upper)

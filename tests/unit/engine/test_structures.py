@@ -88,8 +88,8 @@ def tried_in_turn(shapes: dict, placed: list[tuple], clear: bool, origin: np.nda
     return best, owner
 
 
-def check(made: DeviceScene, shapes: dict, placed: list[tuple]) -> None:
-    """Compare what rays meet in the device scene with what they meet when every triangle is tried."""
+def check(made: DeviceScene, shapes: dict, placed: list[tuple]) -> np.ndarray:
+    """Compare what rays meet in the device scene with what they meet when every triangle is tried; return instances."""
     rng = np.random.default_rng(4)
     origin = rng.uniform((-2.5, -1.5, -0.5), (2.5, 1.5, 2.0), (RAYS, 3)).astype(np.float32)
     direction = rng.normal(size=(RAYS, 3)).astype(np.float32)
@@ -109,6 +109,7 @@ def check(made: DeviceScene, shapes: dict, placed: list[tuple]) -> None:
         if owner.max() >= 0:
             assert hit.any()
     np.testing.assert_array_equal(blocked == 1, found[0] >= 0)
+    return found
 
 
 def opened(shapes: dict, placed: list[tuple]) -> DeviceScene:
