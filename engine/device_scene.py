@@ -54,9 +54,6 @@ class SceneChanges:
     """Nothing but lamps and objects that had moved before have moved"""
 
 
-# Share of the meshes' buffers that may lie idle before everything is built anew.
-WASTE_LIMIT = 0.5
-
 # Factor by which the scene may outgrow its radius, or twice as much shrink, before that follows: the cache's cells are
 # measured by it, and recorded frames end where it changes.
 GROWTH_LIMIT = 1.25
@@ -149,17 +146,19 @@ class DeviceScene:
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
+        if rebuild:
+            self.store.keep_only(set(self.table.mesh_keys))
+        rebuild = self.store.compact() or rebuild
         self._measure_bounds()
         materials_changed = self._update_materials(delta)
         filters_changed = self._plan_instances()
-        rebuild = rebuild or filters_changed or self.store.wasted > WASTE_LIMIT
+        rebuild = rebuild or filters_changed
         geometry_changed = rebuild or len(moved) > 0 or bool(changed_meshes)
         edited = np.flatnonzero(np.isin(self.table.mesh_index, [  # also those of which nothing is left to draw
             i for i, key in enumerate(self.table.mesh_keys) if key in changed_meshes]))
         tell("Structures", 0.5)
         with self._timed("structures"):
             if rebuild:
-                self._drop_unused_meshes()
                 self._write_instances()
                 self.structures.build(self.plan, self.store, self.instances, settings.instancing_threshold)
             elif geometry_changed:
@@ -339,10 +338,6 @@ class DeviceScene:
     def _write_instances(self) -> None:
         if len(self.rows):
             self.instances = overwrite(self.instances, self.rows)
-
-    def _drop_unused_meshes(self) -> None:
-        for key in set(self.store.ranges) - set(self.plan.mesh_keys):
-            self.store.drop(key)
 
     # -- lights and the struct ----------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -14,6 +14,9 @@ from .volume_data import VolumeData
 __all__ = ["GeometryStore", "MeshRange"]
 
 SLACK = 1.25
+
+WASTE_LIMIT = 0.5
+"""Share of the triangles' room that may lie idle before meshes move together"""
 
 
 @dataclass
@@ -72,6 +75,16 @@ class _Buffer:
         if len(values):
             source = wp.array(np.ascontiguousarray(values), dtype=self.dtype, device=self.device)
             wp.copy(self.array, source, dest_offset=start, count=len(values))
+
+    def pack(self, pieces: list[tuple[int, int]]) -> None:
+        """Keep nothing but pieces, (start, count) each, one after another."""
+        total = sum(count for _, count in pieces)
+        packed, place = wp.zeros(max(total, 1), dtype=self.dtype, device=self.device), 0
+        for start, count in pieces:
+            if count:
+                wp.copy(packed, self.array, place, start, count)
+            place += count
+        self.array, self.used = packed, total
 
 
 class GeometryStore:
@@ -176,9 +189,35 @@ class GeometryStore:
             low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots,
             used_slots=np.unique(mesh.material_slots), generated=generated, volume=mesh.volume)
 
-    def drop(self, key: Key) -> None:
-        """Forget a mesh; its room is won back at the next full build."""
-        self.ranges.pop(key, None)
+    def keep_only(self, keys: set[Key]) -> None:
+        """Forget all other meshes; their room is won back by `compact`."""
+        self.ranges = {key: r for key, r in self.ranges.items() if key in keys}
+
+    def compact(self) -> bool:
+        """Move meshes together where more room than WASTE_LIMIT lies idle; return whether they have moved."""
+        if self.wasted <= WASTE_LIMIT:
+            return False
+        old = list(self.ranges.items())
+        self.positions.pack([(r.vertex_start, r.vertex_count) for _, r in old])
+        self.slots.pack([(r.triangle_start, r.triangle_count) for _, r in old])
+        self.corners.pack([(6 * r.triangle_start, 6 * r.triangle_count) for _, r in old])
+        self.uvs.pack([(r.uv_start, r.uv_count) for _, r in old])
+        self.attributes.pack([(r.attribute_start, r.attribute_count) for _, r in old])
+        self.triangles.pack([(r.triangle_start, r.triangle_count) for _, r in old])
+        vertex = triangle = uv = attribute = 0
+        for row, (key, r) in enumerate(old):
+            first, count, kept = self.replaced.pop(key, (-1, 0, None))
+            if first == r.vertex_start and count == r.vertex_count:
+                self.replaced[key] = vertex, count, kept
+            self.ranges[key] = replace(
+                r, row=row, vertex_start=vertex, triangle_start=triangle, uv_start=uv, attribute_start=attribute)
+            # They name vertices among all.
+            self.triangles.write(triangle, r.local_triangles + np.int32(vertex))
+            vertex, triangle = vertex + r.vertex_count, triangle + r.triangle_count
+            uv, attribute = uv + r.uv_count, attribute + r.attribute_count
+        self.replaced = {key: moved for key, moved in self.replaced.items() if key in self.ranges}
+        self.rows, self._tables = len(old), None
+        return True
 
     def uv_id(self, name: str) -> int:
         """Return the id of a UV map by name: 0 (the empty name) is each mesh's active render map; -1 unknown."""

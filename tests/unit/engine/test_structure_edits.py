@@ -125,3 +125,32 @@ def test_forests_are_no_larger_than_they_may_be(monkeypatch: pytest.MonkeyPatch)
     trees = {id(local.opaque.tree.wide): local.opaque.tree.wide for local in made.structures.levels.local.values()}
     assert 1 < len(trees) < 6
     check(made, shapes, placed)
+
+
+def test_room_of_what_has_gone_is_won_back() -> None:
+    """Keep the buffers small, what rays meet and where surfaces were while a mesh has other triangles each time."""
+    shapes = {**meshes(), "other": scenes.sphere(0.2, rings=6)}
+    placed = [*objects(), ("other", scenes.place(x=1.9, z=0.3), "grey")]
+    made = DeviceScene(layers.DEVICE)
+    made.apply(scenes.delta(shapes, placed, MATERIALS), SETTINGS)
+    made.store.remember = True
+    sizes, live, packed = [], [], 0
+    for i in range(24):
+        shapes["ball"] = scenes.sphere(0.3, rings=8 + i % 2)
+        before = made.store.positions.used
+        made.store.replaced.clear()
+        made.apply(SceneDelta(meshes={
+            "ball": shapes["ball"], "other": scenes.sphere(0.2 + 0.001 * i, rings=6)}), SETTINGS)
+        shapes["other"] = scenes.sphere(0.2 + 0.001 * i, rings=6)
+        r = made.store.ranges["other"]
+        packed += made.store.positions.used < before
+        assert made.store.replaced["other"][:2] == (r.vertex_start, r.vertex_count)
+        for key, mesh in shapes.items():
+            r = made.store.ranges[key]
+            part = slice(r.triangle_start, r.triangle_start + r.triangle_count)
+            corners = made.store.positions.array.numpy()[made.store.triangles.array.numpy()[part]]
+            np.testing.assert_array_equal(corners, mesh.positions[mesh.triangles].astype(np.float32))
+        sizes.append(len(made.store.triangles.array))
+        live.append(sum(len(mesh.triangles) for mesh in shapes.values()))
+    check(made, shapes, placed)
+    assert max(sizes) < 3 * max(live) and packed > 4
