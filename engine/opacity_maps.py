@@ -100,6 +100,9 @@ class OpacityMaps:
                 maps.members[among] = True
             self._maps.append(maps)
             maps.update(flat, source, scene, enabled, renewed)
+        # Maps tell of the finest level. Where shading read a coarser one, half transparent, light would be lost that
+        # rays which the map has stopped stand for: a sixth of it on leaves far off.
+        source.textures.look_up_finest(set().union(*(maps.textures for maps in self._maps)))
 
 
 class _Maps:
@@ -119,6 +122,12 @@ class _Maps:
         """[N], the instances whose triangles it has"""
         self._plan: _Plan | None = None
         """What the maps in the structure are for, None without any"""
+
+    @property
+    def textures(self) -> set[int]:
+        """Return the masks' images."""
+        masks = self._plan.masks.values() if self._plan is not None else ()
+        return {texture for _, texture, _ in masks if texture >= 0}
 
     def update(
         self, flat: FlatStructure, source: DeviceScene, scene: Callable[[], Scene], enabled: bool, renewed: bool,

@@ -53,6 +53,7 @@ class TextureArrays:
         self._device = device
         self._arrays = {form: wp.empty(0, dtype=dtype, device=device) for form, (_, dtype) in FORMATS.items()}
         self._places: dict[int, _Place] = {}
+        self._finest: set[int] = set()
         self._struct: Textures | None = None
 
     @property
@@ -104,6 +105,11 @@ class TextureArrays:
         self._places = places
         self._struct = None
 
+    def look_up_finest(self, slots: set[int]) -> None:
+        """Have kernels look the finest level of these images up at any distance, and all levels of the others."""
+        if slots != self._finest:
+            self._finest, self._struct = slots, None
+
     def _rebuild(self, form: int, places: dict[int, _Place], new: dict[int, Texels]) -> wp.array:
         """Return one format's array made anew from what is kept and what is new; fill in their `places`."""
         kept = sorted((slot for slot, place in places.items() if place.format == form),
@@ -148,6 +154,8 @@ class TextureArrays:
             for slot, place in self._places.items():
                 for name in names:
                     infos[slot][name] = getattr(place, name)
+                if slot in self._finest:
+                    infos[slot]["levels"] = 1
             textures = Textures()
             textures.infos = wp.array(infos, dtype=TextureInfo, device=self._device)
             for form, (name, _) in FORMATS.items():

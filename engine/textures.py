@@ -259,6 +259,10 @@ class TextureStore:
         """Read one mip level of an image back: [H, W, 4] as stored, top row first."""
         return self._arrays.level(self._slots[key], level)
 
+    def look_up_finest(self, indices: set[int]) -> None:
+        """Have kernels look the finest level of these images up at any distance, and all levels of the others."""
+        self._arrays.look_up_finest(indices)
+
     def remove(self, *keys: Key) -> None:
         """Forget images; indices of the others stay."""
         slots = [self._slots.pop(key) for key in keys if key in self._slots]

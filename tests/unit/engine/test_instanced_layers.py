@@ -205,3 +205,26 @@ def test_pictures_are_the_same(integrator: Integrator, samples: int, monkeypatch
         assert picture.mean() == pytest.approx(pictures[0].mean(), rel=0.015)
         blocks = [each.reshape(4, 6, 4, 6, 3).mean((1, 3)) for each in (pictures[0], picture)]
         np.testing.assert_allclose(blocks[1], blocks[0], rtol=0.1)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_leaves_far_off_keep_their_light(flat: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw leaves of many texels a pixel as bright as programs do with the image's finest level, of which maps tell."""
+    monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 1 << 20 if flat else 0)
+    pictures = []
+    for maps in (True, False):
+        settings = dataclasses.replace(
+            scenes.SETTINGS, performance=PerformanceSettings(opacity_maps=maps, instancing_threshold=1.0))
+        session = Session(settings)
+        lit = delta(grove(("leaf",))[1:])
+        lit.images["leaf"] = ImageData(name="leaf", pixels=blobs((256, 256), steep=3.0))
+        lit.lights = [scenes.lamp("POINT", 5000.0, scenes.place(z=8.0))]
+        session.update(lit)
+        if not maps:
+            session._scene.textures.look_up_finest({0})
+            session._scene._assemble()
+        session.configure(settings, scenes.camera_above(height=3.0, half=12.0), 24, 24)
+        session.step(256)
+        pictures.append(session.read()[8:16, 8:16, :3].mean())
+        session.close()
+    assert pictures[0] == pytest.approx(pictures[1], rel=0.01)
