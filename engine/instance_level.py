@@ -68,12 +68,6 @@ class MeshTree:
     faces: int
     """How many faces of other meshes come before its own"""
 
-    def row(self, first_face: int) -> tuple[int, ...]:
-        """Return words 12 to 17 of a record, where the mesh's faces begin at an entry of Geometry.mesh_faces."""
-        nodes, triangles = self.wide.nodes.ptr, self.wide.triangles.ptr
-        return (nodes & 0xFFFFFFFF, nodes >> 32, triangles & 0xFFFFFFFF, triangles >> 32, self.root,
-                (first_face - self.faces) & 0xFFFFFFFF)
-
 
 class ObjectTrees:
     """Trees of meshes that are built, and deformed, together."""
@@ -168,16 +162,28 @@ class InstanceLevel:
         self._wide = WideBvh(nodes, boxes, levels, len(chosen), wp.zeros(0, dtype=int, device=device))
         self._records = wp.zeros(int(RECORD_WORDS) * len(chosen), dtype=wp.uint32, device=device)
         self._rows = [wp.array(values.astype(np.int32), dtype=int, device=device) for values in (chosen, mesh_of)]
-        self._trees, self._known = trees, np.zeros((len(trees), int(MESH_WORDS)), np.uint32)
-        self._meshes = wp.array(self._known, dtype=wp.uint32, device=device)
+        self._wides = list({id(tree[0].wide): tree[0].wide for tree in trees if tree}.values())
+        numbers = {id(wide): i for i, wide in enumerate(self._wides)}
+        self._wide_of = np.array([numbers[id(tree[0].wide)] if tree else len(numbers) for tree in trees], np.int64)
+        """By mesh; one more for those without instances"""
+        self._roots = np.array(
+            [(tree[0].root, tree[1] - tree[0].faces) if tree else (0, 0) for tree in trees], np.int64)
+        """By mesh, with what is added to a face"""
+        self._places = np.zeros(0, np.uint64)
+        """Addresses that records have of nodes and triangles"""
+        self._meshes = wp.zeros((len(trees), int(MESH_WORDS)), dtype=wp.uint32, device=device)
         self._fit()
 
     def write_records(self, instances: wp.array) -> None:
         """Take over the transforms of kernels.types.Instance [all], and where trees lie, in place."""
-        known = np.array([(0,) * int(MESH_WORDS) if tree is None else tree[0].row(tree[1]) for tree in self._trees])
-        if not np.array_equal(known, self._known):
-            self._known = known.astype(np.uint32)
-            self._meshes.assign(self._known)
+        places = np.array([(wide.nodes.ptr, wide.triangles.ptr) for wide in self._wides] + [(0, 0)], np.uint64)
+        if not np.array_equal(places, self._places):
+            self._places = places
+            places = places[self._wide_of]
+            low, high = (places & np.uint64(0xFFFFFFFF)).astype(np.uint32), (places >> np.uint64(32)).astype(np.uint32)
+            # Words 12 to 17 of a record.
+            self._meshes.assign(np.column_stack(
+                [low[:, 0], high[:, 0], low[:, 1], high[:, 1], self._roots.astype(np.uint32)]))
         launch(write_records, len(self.chosen), [self._items, *self._rows, self._meshes, instances], [self._records],
                self.device)
 

@@ -24,7 +24,7 @@ def test_meshes_that_lose_all_triangles_are_gone(instanced: bool, monkeypatch: p
     """Meet nothing of a mesh whose triangles have all gone, and those that it gets later."""
     monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0 if instanced else 1 << 20)
     # So many triangles stay that what is gone is no reason to build anew.
-    shapes = {**meshes(), "plane": scenes.sphere(0.7, rings=40)}
+    shapes = {**meshes(), "plane": scenes.sphere(0.7, rings=20)}
     made = DeviceScene(layers.DEVICE)
     made.apply(scenes.delta(shapes, objects(), MATERIALS), SETTINGS)
     nothing = scenes.mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
@@ -36,8 +36,8 @@ def test_meshes_that_lose_all_triangles_are_gone(instanced: bool, monkeypatch: p
 def squashed(axes: tuple[float, float, float]) -> list[tuple]:
     """Make spheres whose scale is so along the axes, over and beside a sphere as it is in object space."""
     placed = [("plane", scenes.place(z=-0.4), "grey"), ("ball", np.eye(4), "grey")]
-    for i in range(25):
-        matrix = scenes.place(x=0.5 * (i % 5) - 1.0 + 0.02 * i, y=0.4 * (i // 5) - 0.8, z=0.5 + 0.02 * i)
+    for i in range(9):
+        matrix = scenes.place(x=0.8 * (i % 3) - 0.8 + 0.02 * i, y=0.8 * (i // 3) - 0.8, z=0.5 + 0.02 * i)
         placed.append(("ball", matrix @ np.diag([*axes, 1.0]), "clear" if i % 3 else "grey"))
     return placed
 
@@ -50,7 +50,7 @@ def test_squashed_instances_are_met_where_they_are(
 ) -> None:
     """Meet discs where a scale is 0 along an axis, nothing where it is along two: flattened or not, moved or not."""
     monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0 if instanced else 1 << 20)
-    shapes, placed = {"ball": scenes.sphere(0.6, rings=8), "plane": scenes.quad(3.0)}, squashed(axes)
+    shapes, placed = {"ball": scenes.sphere(0.6, rings=5), "plane": scenes.quad(3.0)}, squashed(axes)
     made = DeviceScene(layers.DEVICE)
     made.apply(scenes.delta(shapes, placed, MATERIALS), SETTINGS)
     seen = np.count_nonzero(axes) > 1
