@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from .image_atlas import Atlas
 from .media import MediumData
 from .program import Program
 from .sky.image import TO_REC709
@@ -195,6 +196,8 @@ class ImageData:
     alpha_mode: AlphaMode = AlphaMode.STRAIGHT
     missing: bool = False
     """Could not be read: drawn magenta (1, 0, 1)"""
+    atlas: Atlas | None = None
+    """Tiles that make the picture up, instead of a file or pixels"""
 
 
 class LightKind(enum.StrEnum):

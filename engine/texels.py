@@ -50,6 +50,8 @@ class Texels:
     """Decode the sRGB transfer function after filtering"""
     alpha: int
     """ALPHA_* of kernels/texture.py"""
+    levels_max: int = 0
+    """How many levels may be looked up, 0 for all"""
     cleaned: int = 0
     """Texels that held NaN or infinity and were set to 0"""
 
@@ -62,6 +64,11 @@ class Texels:
     def count(self) -> int:
         """Texels of all levels."""
         return sum(level.shape[0] * level.shape[1] for level in self.levels)
+
+    def forget(self, count: int) -> None:
+        """Leave the `count` largest levels out."""
+        self.levels = self.levels[count:]
+        self.levels_max = max(self.levels_max - count, 1) if self.levels_max else 0
 
     def flat(self) -> np.ndarray:
         """Return all levels one after another: [count, 4]."""

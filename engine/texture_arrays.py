@@ -33,7 +33,10 @@ FORMATS = {
 
 @dataclass
 class _Place:
-    """Where one image lies: the fields of kernels.types.TextureInfo."""
+    """Where one image lies: the fields of kernels.types.TextureInfo.
+
+    `levels` may be fewer than there are.
+    """
 
     width: int
     height: int
@@ -143,7 +146,8 @@ class TextureArrays:
             wp.copy(array, wp.array(flat, dtype=dtype, device="cpu", copy=False), dest_offset=start, count=len(flat))
             start += len(flat)
         height, width = texels.levels[0].shape[:2]
-        return _Place(width=width, height=height, levels=len(texels.levels), offset=offset, format=texels.format,
+        levels = min(len(texels.levels), texels.levels_max or len(texels.levels))
+        return _Place(width=width, height=height, levels=levels, offset=offset, format=texels.format,
                       srgb=int(texels.srgb), alpha=texels.alpha, count=start - offset)
 
     def struct(self) -> Textures:
@@ -176,5 +180,6 @@ def _halved(place: _Place, count: int) -> _Place:
     for _ in range(count):
         dropped = values["width"] * values["height"]
         values.update(width=max(values["width"] // 2, 1), height=max(values["height"] // 2, 1),
-                      levels=values["levels"] - 1, offset=values["offset"] + dropped, count=values["count"] - dropped)
+                      levels=max(values["levels"] - 1, 1), offset=values["offset"] + dropped,
+                      count=values["count"] - dropped)
     return _Place(**values)

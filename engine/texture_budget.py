@@ -24,6 +24,8 @@ class TextureSize:
     height: int
     texel_bytes: int
     halvings: int = 0
+    side: int = 0
+    """Side that a limit of sides is about, of a picture made of several [px]; 0 for the longest"""
 
     def shape(self) -> tuple[int, int]:
         """Return width and height of what is kept [px]."""
@@ -67,7 +69,7 @@ def fit(sizes: list[TextureSize], budget: int, side_limit: int = 0) -> None:
     """
     limit = min(side_limit or SIDE_MAX, SIDE_MAX)
     for size in sizes:
-        while max(size.shape()) > limit:
+        while max(size.shape()) > SIDE_MAX or (size.side >> size.halvings or max(size.shape())) > limit:
             size.halvings += 1
     _halve_largest(sizes, budget)
     for texel_bytes in sorted(set(TEXEL_BYTES.values())):

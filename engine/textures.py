@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import OpenImageIO as oiio
 
 from ..kernels.texture import ALPHA_ASSOCIATED, ALPHA_STRAIGHT, ALPHA_UNRELATED
 from ..kernels.types import Textures
+from .image_atlas import assemble
 from .report import Report, ReportKind
 from .scene import AlphaMode, ColorEncoding, ImageData
 from .settings import PerformanceSettings
@@ -31,10 +33,11 @@ from .texture_budget import TextureSize, fit
 
 __all__ = [
     "DATA_SPACES", "FilePixels", "ImageUnreadable", "TextureStore", "can_read_bytes", "read_bytes", "read_file",
-    "to_linear",
+    "read_size", "to_linear",
 ]
 
 Key = Hashable
+T = TypeVar("T")
 DATA_SPACES = {"Non-Color", "Raw", "Generic Data"}
 """Colour spaces whose values are no colours"""
 UNKNOWN_ALPHA = {"dds", "psd"}
@@ -112,13 +115,29 @@ def read_file(path: str) -> FilePixels:
     return FilePixels(pixels, has_alpha, _is_straight(source), cmyk)
 
 
+def read_size(data: str | bytes) -> tuple[int, int] | None:
+    """Return width and height of an image file [px], given by its path or held in memory; None: it can't be read."""
+    try:
+        if isinstance(data, bytes):
+            return _with_file(data, read_size)
+        spec = _open(data).spec()
+    except (OSError, RuntimeError):
+        return None
+    return (spec.width, spec.height) if min(spec.width, spec.height) > 0 else None
+
+
 def can_read_bytes() -> bool:
     """Tell whether this system lets files be read from memory (`read_bytes`)."""
     return hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd")
 
 
 def read_bytes(data: bytes) -> FilePixels:
-    """Read an image file that lies in memory, writing nothing to disk; raise ImageUnreadable.
+    """Read an image file that lies in memory, writing nothing to disk; raise ImageUnreadable."""
+    return _with_file(data, read_file)
+
+
+def _with_file(data: bytes, use: Callable[[str], T]) -> T:
+    """Return what is read of a file that lies in memory.
 
     OpenImageIO's Python binding has no reader for memory, but it reads an anonymous file of the kernel's (Linux).
     """
@@ -127,7 +146,7 @@ def read_bytes(data: bytes) -> FilePixels:
     try:
         with open(handle, "wb", closefd=False) as file:
             file.write(data)
-        return read_file(f"/proc/self/fd/{handle}")
+        return use(f"/proc/self/fd/{handle}")
     finally:
         os.close(handle)
 
@@ -170,6 +189,8 @@ class _Source:
     error: str = ""
     texels: Texels | None = None
     cmyk: bool = False
+    lost: dict[str, str] = field(default_factory=dict)
+    """Why tiles can't be read, by name"""
 
     @property
     def is_data(self) -> bool:
@@ -190,8 +211,12 @@ def _measure(data: ImageData) -> _Source:
     """Find an image and read its size, not its pixels."""
     source = _Source(data, _first_tile(data.path) if data.path else None)
     try:
-        if data.missing or (data.pixels is None and not data.path):
+        if data.missing or (data.pixels is None and not data.path and data.atlas is None):
             source.error = f"{data.path} is missing or damaged" if data.path else "it has neither file nor pixels"
+        elif data.atlas is not None:
+            kinds = [_measure(tile).size for tile in data.atlas.tiles]
+            texel_bytes = max([size.texel_bytes for size in kinds if size], default=4)
+            source.size = TextureSize(data.atlas.width, data.atlas.height, texel_bytes, side=data.atlas.side)
         elif data.pixels is not None:
             height, width = data.pixels.shape[:2]
             source.size = TextureSize(width, height, source.texel_bytes(data.pixels.dtype.name))
@@ -209,29 +234,56 @@ def _read(source: _Source) -> None:
     """Read an image's pixels and build its levels; failing that, note the error."""
     data = source.data
     try:
-        if data.pixels is not None:
-            straight = data.alpha_mode is AlphaMode.STRAIGHT
-            picture = FilePixels(data.pixels, data.pixels.shape[2] in (2, 4), straight)
-        else:
-            picture = read_file(source.path)
-        source.cmyk = picture.cmyk
-        source.texels = _texels(picture, source)
+        source.texels = _picture(source) if data.atlas is None else _atlas(source)
         source.size.texel_bytes = TEXEL_BYTES[source.texels.format]
     except (OSError, RuntimeError, MemoryError) as error:
         source.fail(error)
 
 
-def _texels(picture: FilePixels, source: _Source) -> Texels:
-    """Turn pixels into texels as the image's settings ask."""
-    rgba, data = expand_channels(picture.pixels), source.data
+def _stored(source: _Source) -> tuple[np.ndarray, int]:
+    """Read an image's pixels; return them as [H, W, 4] and their ALPHA_* as the image's settings ask."""
+    data = source.data
+    if data.missing:
+        raise ImageUnreadable(f"{data.path} is missing or damaged")
+    if data.pixels is not None:
+        straight = data.alpha_mode is AlphaMode.STRAIGHT
+        picture = FilePixels(data.pixels, data.pixels.shape[2] in (2, 4), straight)
+    else:
+        picture = read_file(source.path)
+    source.cmyk |= picture.cmyk
+    rgba = expand_channels(picture.pixels)
     alpha = ALPHA_STRAIGHT if picture.straight else ALPHA_ASSOCIATED
     if not picture.has_alpha or data.alpha_mode is AlphaMode.CHANNEL_PACKED or source.is_data:
         alpha = ALPHA_UNRELATED
     if picture.has_alpha and data.alpha_mode is AlphaMode.NONE:
         alpha, rgba = ALPHA_UNRELATED, rgba.copy()
         rgba[..., 3] = 1 if rgba.dtype.kind == "f" else np.iinfo(rgba.dtype).max
-    return make_texels(rgba, srgb=data.encoding is ColorEncoding.SRGB, alpha=alpha, data=source.is_data,
+    return rgba, alpha
+
+
+def _picture(source: _Source) -> Texels:
+    """Turn an image's pixels into texels."""
+    rgba, alpha = _stored(source)
+    return make_texels(rgba, srgb=source.data.encoding is ColorEncoding.SRGB, alpha=alpha, data=source.is_data,
                        halvings=source.size.halvings)
+
+
+def _atlas(source: _Source) -> Texels:
+    """Join an image's tiles into texels."""
+    atlas, srgb = source.data.atlas, source.data.encoding is ColorEncoding.SRGB
+
+    def load(tile: ImageData) -> tuple[np.ndarray, bool, int]:
+        part = _Source(tile, tile.path)
+        rgba, alpha = _stored(part)
+        source.cmyk |= part.cmyk
+        return rgba, srgb, alpha
+
+    joined = assemble(atlas, source.size.halvings, load)
+    texels = make_texels(joined.pixels, srgb=srgb, alpha=joined.alpha, data=source.is_data,
+                         halvings=source.size.halvings - joined.halvings)
+    source.lost, texels.cleaned = joined.errors, texels.cleaned + joined.cleaned
+    texels.levels_max = max(atlas.levels - source.size.halvings, 1)
+    return texels
 
 
 class TextureStore:
@@ -303,7 +355,7 @@ class TextureStore:
         fit(sizes + list(kept.values()), budget, settings.texture_size_limit)
         for source, halvings in zip(good.values(), read, strict=True):
             if source.size:
-                source.texels.levels = source.texels.levels[source.size.halvings - halvings:]
+                source.texels.forget(source.size.halvings - halvings)
         self._place(sources, {slot: size.halvings for slot, size in kept.items() if size.halvings})
         for source in sources.values():
             _report(source, settings, report)
@@ -333,6 +385,8 @@ def _report(source: _Source, settings: PerformanceSettings, report: Report) -> N
         report.add(ReportKind.APPROXIMATED, owner, "has texels that are not finite, set to 0", source.texels.cleaned)
     if source.cmyk:
         report.add(ReportKind.APPROXIMATED, owner, "is CMYK, converted to RGB without its colour profile")
+    for name, error in source.lost.items():
+        report.add(ReportKind.MISSING, owner, f"tile {name} can't be read ({error}); drawn magenta")
     if source.path != source.data.path:
         tile = os.path.basename(source.path)
         report.add(ReportKind.APPROXIMATED, owner, f"has UDIM tiles, of which only {tile} is drawn, on all of them")

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
+from ...engine.image_atlas import lay_out_tiles, tile_table
 from ...engine.report import Report, ReportKind
 from ...engine.scene import AlphaMode, ColorEncoding, ImageData
 from ...engine.textures import (
@@ -28,14 +29,15 @@ from ...engine.textures import (
     can_read_bytes,
     read_bytes,
     read_file,
+    read_size,
     to_linear,
 )
+from .image_tiles import TILE_TOKENS, TiledImage, TileSource, generated_pixels, tile_sources
 
 __all__ = ["ImageCollector", "sequence_frame", "sequence_path"]
 
 Key = Hashable
 THREADS_MAX = 8
-TILE_TOKENS = ("<UDIM>", "<UVTILE>")
 
 
 def sequence_frame(scene_frame: int, image_user: bpy.types.ImageUser | None) -> int:
@@ -102,6 +104,7 @@ class ImageCollector:
     def __init__(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene) -> None:
         self._known: dict[Key, tuple] = {}
         self._reports: dict[Key, Report] = {}
+        self._atlases: dict[Key, TiledImage] = {}
         self.begin(depsgraph_or_scene)
 
     def begin(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, *, full: bool = False) -> None:
@@ -118,6 +121,7 @@ class ImageCollector:
         self._touched: set[int] | None = None
         if full:
             self._known.clear()
+            self._atlases.clear()
             self._reports.clear()
         scene = depsgraph_or_scene
         if isinstance(depsgraph_or_scene, bpy.types.Depsgraph):
@@ -166,6 +170,76 @@ class ImageCollector:
         else:
             self._from_file(key, image, path, space, told)
         return key
+
+    def tiles(self, image: bpy.types.Image, extension: int, numbers: Sequence[int] | None = None) -> TiledImage | None:
+        """Return an image made of tiles as one picture, and record its data if that changed; None without tiles.
+
+        Args:
+            image: Its source is TILED.
+            extension: How its tiles go on beyond their borders, EXTENSION_* in kernels/texture.py.
+            numbers: The tiles that count; None for all.
+        """
+        space = _Space(image.colorspace_settings.name, self._working)
+        parts = tile_sources(image, numbers)
+        if not parts:
+            return None
+        key = (image.session_uid, "tiles", extension, tuple(numbers or ()))
+        signature = (space, image.alpha_mode, image.is_dirty, tuple(part.signature() for part in parts))
+        touched = image.is_dirty and (self._touched is None or image.session_uid in self._touched)
+        known = self._atlases.get(key)
+        if known is not None and (key in self._seen or (self._known.get(key) == signature and not touched)):
+            self._seen.add(key)
+            return known
+        self._seen.add(key)
+        self._known[key] = signature
+        told = self._reports[key] = Report()
+        found: list[tuple[tuple[int, int], Callable[[], ImageData]]] = [
+            self._tile(image, part, space, told) for part in parts]
+        atlas = lay_out_tiles([size for size, _ in found], extension)
+        known_range, table = tile_table(atlas, [part.number for part in parts])
+        if len(parts) > known_range.columns * known_range.rows:
+            _tell(told, image.name, f"has tiles above row {known_range.row + known_range.rows}, drawn magenta")
+        mode = AlphaMode(image.alpha_mode)
+
+        def join() -> ImageData:
+            tiles = tuple(make() for _, make in found)
+            first = next((tile for tile in tiles if not tile.missing), tiles[0])
+            return ImageData(
+                name=image_name, encoding=first.encoding, source_colorspace=first.source_colorspace, alpha_mode=mode,
+                atlas=replace(atlas, tiles=tiles))
+
+        image_name = image.name
+        self._jobs[key] = join
+        self._atlases[key] = TiledImage(key, atlas, known_range, table)
+        return self._atlases[key]
+
+    def _tile(self, image: bpy.types.Image, part: TileSource, space: _Space,
+              told: Report) -> tuple[tuple[int, int], Callable[[], ImageData]]:
+        """Return a tile's size and what makes its data, which holds nothing of Blender's."""
+        name, mode, number = image.name, AlphaMode(image.alpha_mode), str(part.number)
+        data: ImageData | None = None
+        if part.painted:
+            data = _from_blender(image, space, told)
+        elif part.color is not None:
+            pixels = generated_pixels(part)
+            data = _finish(name, FilePixels(pixels, True, True), AlphaMode.STRAIGHT,
+                           space if pixels.dtype == np.uint8 else _Space(space.working, space.working), ocio_config(),
+                           told)
+        content = None if data is not None else part.content()
+        size = None if content is None else read_size(content)
+        if data is None and size is None:
+            where = part.path or "its pixels"
+            data = ImageData(name=number, path=where, missing=True)
+        if data is not None:
+            data.name = number
+            shape = (1, 1) if data.pixels is None else (data.pixels.shape[1], data.pixels.shape[0])
+            return shape, lambda: data
+        if space.encoding is not None and isinstance(content, str):
+            file = ImageData(name=number, path=content, encoding=space.encoding, source_colorspace=space.name,
+                             alpha_mode=mode)
+            return size, lambda: file
+        where = {"path": content} if isinstance(content, str) else {"data": content}
+        return size, _Job(number, mode, space, ocio_config(), told, **where).run
 
     def computed(self, key: Key, name: str, signature: Hashable, make: Callable[[], np.ndarray]) -> Key:
         """Return the key of a picture that a node computes, and record its data if that changed.

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from mathutils import Euler, Matrix
 
 from ...engine.program import Value
 from ...engine.report import ReportKind
+from .image_tiles import TiledImage
 from .node_graph import Graph, translates
 from .node_inputs import generated_coordinate, is_identity, uv_coordinate
 
@@ -55,21 +58,79 @@ def image_node(graph: Graph, node, output: str) -> Value:
         "extension": EXTENSIONS[node.extension], "interpolation": INTERPOLATIONS[node.interpolation],
         "associate": not graph.is_used(node, "Alpha"),
     }
-    key = graph.images.key(node.image, node.image_user)
+    look_up = plain_lookup(graph, node, options)
     if node.projection == 'BOX':
-        return box(graph, node, key, options, output)
-    texel = build.image(key, coordinate(graph, node, "UV"), projection=PROJECTIONS[node.projection], **options)
+        return box(graph, node, look_up, output)
+    texel = look_up(coordinate(graph, node, "UV"))
     return build.component(texel, 3) if output == "Alpha" else texel
 
 
-def box(graph: Graph, node, key, options: dict, output: str) -> Value:
+LookUp = Callable[[Value], Value]
+
+
+def plain_lookup(graph: Graph, node, options: dict) -> LookUp:
+    """Return what reads a node's image at a coordinate."""
+    build, image = graph.builder, node.image
+    if image.source == 'TILED' and node.projection in ('FLAT', 'BOX'):
+        # Cycles has the first tile alone where it projects the image along axes.
+        tiled = graph.images.tiles(image, options["extension"], (1001,) if node.projection == 'BOX' else None)
+        if tiled is None:
+            graph.tell(node, "has an image without tiles; drawn magenta", ReportKind.MISSING)
+            return lambda place: build.constant((1.0, 0.0, 1.0, 1.0))
+        return lambda place: tile_texel(graph, tiled, place, options)
+    key = graph.images.key(image, node.image_user)
+    projection = PROJECTIONS.get(node.projection, "FLAT")
+    return lambda place: build.image(key, place, projection=projection, **options)
+
+
+def tile_texel(graph: Graph, tiled: TiledImage, place: Value, options: dict) -> Value:
+    """Return the texel of an image of tiles: the tile that the coordinate lies in, as in Cycles (kernel/svm/image.h).
+
+    A table tells where the tile lies in the picture of all; see engine/image_atlas.py.
+    """
+    build, known, atlas = graph.builder, tiled.range, tiled.atlas
+    place = build.rgb(place)
+    # Rounded towards 0: what is up to 1 below 0 counts as beyond the border of the first tile.
+    corner = [build.math("TRUNC", build.component(place, axis)) for axis in range(2)]
+    step = known.columns + 1
+    column = build.math("CLAMP", build.math("SUBTRACT", corner[0], float(known.column)), -1.0, float(known.columns))
+    row = build.math("CLAMP", build.math("SUBTRACT", corner[1], float(known.row)), -1.0, float(known.rows))
+    entry = build.math("MULTIPLY_ADD", row, float(step), column)
+    last = len(tiled.table) - 1
+    entry = build.math("MULTIPLY_ADD", entry, 1.0 / last, (known.entry_of_first + 0.5) / last)
+    found = build.ramp("CONSTANT", tiled.table.tobytes(), entry)
+    if options["extension"] == EXTENSIONS['REPEAT']:
+        inside = build.vector("FRACTION", place)
+    else:
+        inside = build.vector("SUBTRACT", place, build.combine(*corner, 0.0))
+        if options["extension"] == EXTENSIONS['MIRROR']:
+            inside = build.vector("ABSOLUTE", inside)
+        elif options["extension"] == EXTENSIONS['EXTEND']:
+            inside = build.vector("MAXIMUM", inside, 0.0)
+    size = [build.component(found, axis) for axis in (2, 3)]
+    where = build.vector("MULTIPLY", inside, build.combine(*size, 0.0))
+    if options["extension"] == EXTENSIONS['CLIP']:
+        # Beyond the border, but within what continues the tile.
+        reach = -0.5 * atlas.border
+        where = build.vector("MAXIMUM", where, (reach / atlas.width, reach / atlas.height, 0.0))
+    where = build.vector("ADD", where, found)
+    # Widths are in units of the longer side: of the tile, then of the picture.
+    longer = max(atlas.width, atlas.height)
+    share = build.math("MAXIMUM", build.math("MULTIPLY", size[0], atlas.width / longer),
+                       build.math("MULTIPLY", size[1], atlas.height / longer))
+    width = build.math("MULTIPLY", build.component(place, 3), share)
+    return build.image(tiled.key, build.vector("WITH_W", where, width),
+                       **{**options, "extension": EXTENSIONS['EXTEND']})
+
+
+def box(graph: Graph, node, look_up: LookUp, output: str) -> Value:
     """Return an image projected along the three axes of the object, blended by its normal."""
     build = graph.builder
     place, normal = coordinate(graph, node, "UV"), build.input("OBJECT_NORMAL")
     weights = build.vector("BOX_WEIGHTS", normal, node.projection_blend)
     total = build.constant(0.0)
     for side in range(3):
-        texel = build.image(key, build.vector("BOX_UV", place, normal, float(side)), **options)
+        texel = look_up(build.vector("BOX_UV", place, normal, float(side)))
         part = build.component(texel, 3) if output == "Alpha" else build.rgb(texel)
         total = build.vector("MULTIPLY_ADD", part, build.component(weights, side), total)
     return total
