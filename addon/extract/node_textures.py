@@ -72,8 +72,9 @@ def plain_lookup(graph: Graph, node, options: dict) -> LookUp:
     """Return what reads a node's image at a coordinate."""
     build, image = graph.builder, node.image
     if image.source == 'TILED' and node.projection in ('FLAT', 'BOX'):
-        # Cycles has the first tile alone where it projects the image along axes.
-        tiled = graph.images.tiles(image, options["extension"], (1001,) if node.projection == 'BOX' else None)
+        # Where Cycles projects files along axes, it reads the first tile's alone.
+        first = node.projection == 'BOX' and not image.packed_files
+        tiled = graph.images.tiles(image, options["extension"], (1001,) if first else None)
         if tiled is None:
             graph.tell(node, "has an image without tiles; drawn magenta", ReportKind.MISSING)
             return lambda place: build.constant((1.0, 0.0, 1.0, 1.0))
