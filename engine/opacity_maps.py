@@ -102,7 +102,7 @@ class OpacityMaps:
             maps.update(flat, source, scene, enabled, renewed)
         # Maps tell of the finest level. Where shading read a coarser one, half transparent, light would be lost that
         # rays which the map has stopped stand for: a sixth of it on leaves far off.
-        source.textures.look_up_finest(set().union(*(maps.textures for maps in self._maps)))
+        source.textures.arrays.look_up_finest(set().union(*(maps.textures for maps in self._maps)))
 
 
 class _Maps:

@@ -290,14 +290,14 @@ class TextureStore:
     """All images of a scene on one device, by key."""
 
     def __init__(self, device: str) -> None:
-        self._arrays = TextureArrays(device)
+        self.arrays = TextureArrays(device)
         self._slots: dict[Key, int] = {}
         self._names: dict[int, str] = {}
 
     @property
     def bytes(self) -> int:
         """Device memory of the texels."""
-        return self._arrays.bytes
+        return self.arrays.bytes
 
     def index(self, key: Key) -> int:
         """Return the index for `sample_texture`; -1 (drawn magenta) for an image that was never sent."""
@@ -305,22 +305,18 @@ class TextureStore:
 
     def struct(self) -> Textures:
         """Return what kernels read; the same object until an update."""
-        return self._arrays.struct()
+        return self.arrays.struct()
 
     def level(self, key: Key, level: int = 0) -> np.ndarray:
         """Read one mip level of an image back: [H, W, 4] as stored, top row first."""
-        return self._arrays.level(self._slots[key], level)
-
-    def look_up_finest(self, indices: set[int]) -> None:
-        """Have kernels look the finest level of these images up at any distance, and all levels of the others."""
-        self._arrays.look_up_finest(indices)
+        return self.arrays.level(self._slots[key], level)
 
     def remove(self, *keys: Key) -> None:
         """Forget images; indices of the others stay."""
         slots = [self._slots.pop(key) for key in keys if key in self._slots]
         for slot in slots:
             del self._names[slot]
-        self._arrays.change({}, removed=slots)
+        self.arrays.change({}, removed=slots)
 
     def clear(self) -> None:
         """Forget all images."""
@@ -346,11 +342,11 @@ class TextureStore:
             # The sizes in files decide what is read, so that the host never holds much more than the budget.
             budget = settings.texture_budget << 20
             sizes = [source.size for source in good.values()]
-            fit(sizes + list(self._arrays.sizes(present).values()), budget, settings.texture_size_limit)
+            fit(sizes + list(self.arrays.sizes(present).values()), budget, settings.texture_size_limit)
             read = [size.halvings for size in sizes]
             list(pool.map(_read, good.values()))
         # Formats are certain now.
-        kept = self._arrays.sizes(present)
+        kept = self.arrays.sizes(present)
         sizes = [source.size for source in good.values() if source.size]
         fit(sizes + list(kept.values()), budget, settings.texture_size_limit)
         for source, halvings in zip(good.values(), read, strict=True):
@@ -370,7 +366,7 @@ class TextureStore:
         slots = {key: self._slots.get(key, -1) for key in sources}
         slots = {key: slot if slot >= 0 else next(free) for key, slot in slots.items()}
         magenta = Texels(levels=[MAGENTA], srgb=False, alpha=ALPHA_UNRELATED)
-        self._arrays.change({slots[key]: source.texels or magenta for key, source in sources.items()}, (), halvings)
+        self.arrays.change({slots[key]: source.texels or magenta for key, source in sources.items()}, (), halvings)
         self._slots.update(slots)
         self._names.update({slots[key]: source.data.name for key, source in sources.items()})
 

@@ -221,7 +221,7 @@ def test_leaves_far_off_keep_their_light(flat: bool, monkeypatch: pytest.MonkeyP
         lit.lights = [scenes.lamp("POINT", 5000.0, scenes.place(z=8.0))]
         session.update(lit)
         if not maps:
-            session._scene.textures.look_up_finest({0})
+            session._scene.textures.arrays.look_up_finest({0})
             session._scene._assemble()
         session.configure(settings, scenes.camera_above(height=3.0, half=12.0), 24, 24)
         session.step(256)
