@@ -199,6 +199,8 @@ class ImageCollector:
         known_range, table = tile_table(atlas, [part.number for part in parts])
         if len(parts) > known_range.columns * known_range.rows:
             _tell(told, image.name, f"has tiles above row {known_range.row + known_range.rows}, drawn magenta")
+        if image.is_dirty and any(part.content() for part in parts if not part.painted):
+            _tell(told, image.name, "has unsaved changes, drawn on its first tile alone: save it to see all")
         mode = AlphaMode(image.alpha_mode)
 
         def join() -> ImageData:
