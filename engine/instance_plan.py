@@ -33,11 +33,14 @@ class InstancePlan:
     scattering: np.ndarray
     """bool [N]: which instances scatter light below their surface"""
 
+    def tested(self, *, by_material: bool = True) -> list[tuple[tuple[bool, ...], tuple[Key, ...]]]:
+        """Return of each group which slots need a test and, where any does, their materials if they count."""
+        return [(slots, materials if by_material and any(slots) else ())
+                for slots, materials in zip(self.filtered_slots, self.materials, strict=True)]
+
     def filters_as(self, other: InstancePlan, *, by_material: bool) -> bool:
         """Return whether the same slots of all instances need a test, `by_material`: of the same materials."""
-        mine, others = ([
-            (slots, materials if by_material and any(slots) else ())
-            for slots, materials in zip(plan.filtered_slots, plan.materials, strict=True)] for plan in (self, other))
+        mine, others = (plan.tested(by_material=by_material) for plan in (self, other))
         return len(self.group_index) == len(other.group_index) and (
             [mine[i] for i in self.group_index.tolist()] == [others[i] for i in other.group_index.tolist()])
 

@@ -218,8 +218,7 @@ class InstancedMeshes:
 
 def _used_meshes(plan: InstancePlan, chosen: np.ndarray) -> tuple[list[Use], np.ndarray]:
     """Return the distinct uses of meshes by instances, and which of them each is, int [len(chosen)]."""
-    of_groups = [(slots, materials if any(slots) else ())
-                 for slots, materials in zip(plan.filtered_slots, plan.materials, strict=True)]
+    of_groups = plan.tested()
     numbers = {each: i for i, each in enumerate(dict.fromkeys(of_groups))}
     number_of = np.array([numbers[each] for each in of_groups], np.int64)
     pairs = plan.mesh_index[chosen] * len(numbers) + number_of[plan.group_index[chosen]]

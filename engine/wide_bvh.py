@@ -132,8 +132,7 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
     whole = _whole(points, indices)
     parts = (_split(points, indices, whole) if splitting else None) or whole
     nodes, items, levels = build_over(parts.lower, parts.upper)
-    triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
-    launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [triangles], device)
+    triangles = _write_triangles(points, indices, items, parts)
     wholes = np.zeros(0, np.int32)
     if parts is not whole:
         wholes = np.sort(np.unique(parts.faces.numpy()[items.numpy()], return_index=True)[1]).astype(np.int32)
@@ -173,14 +172,21 @@ def build_forest(points: wp.array, indices: wp.array, counts: np.ndarray) -> Wid
     Returns:
         All trees, the first M nodes their roots; None where one is too deep, which build_wide can help.
     """
-    device, whole = points.device.alias, _whole(points, indices)
+    whole = _whole(points, indices)
     tree = _cluster(whole.lower, whole.upper, RADIUS, PATIENCE, counts)
     nodes, items, levels = _collapse(tree, len(whole.faces))
     if len(levels) > MAX_DEPTH:
         return None
-    triangles = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=device)
-    launch(kernels.write_triangles, len(items), [points, indices, items, whole.faces, whole.steps], [triangles], device)
-    return WideBvh(nodes, triangles, levels, len(items), wp.zeros(0, dtype=int, device=device))
+    triangles = _write_triangles(points, indices, items, whole)
+    return WideBvh(nodes, triangles, levels, len(items), wp.zeros(0, dtype=int, device=points.device))
+
+
+def _write_triangles(points: wp.array, indices: wp.array, items: wp.array, parts: _References) -> wp.array:
+    """Return the triangles' words, by `items`, the references in the leaves' order."""
+    words = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=points.device)
+    launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [words],
+           points.device.alias)
+    return words
 
 
 def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:
@@ -257,20 +263,16 @@ def _cluster(
     codes = wp.empty(2 * count, dtype=wp.int64, device=device)
     clusters = wp.empty(2 * count, dtype=int, device=device)
     tree_of = wp.empty(0 if counts is None else total, dtype=int, device=device)
-    if counts is None:
-        low, size = _extent(item_lower.numpy(), item_upper.numpy())
-        launch(cluster_tree.start_clusters, count, [
-            wp.vec3(*low[0].tolist()), float(cluster_tree.CURVE_CELLS) / float(size[0]), lower, upper],
-            [codes, clusters, children], device)
-    else:
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        low, size = _extent(item_lower.numpy(), item_upper.numpy(), starts)
+    starts = np.zeros(1, np.int64)
+    if counts is not None:
+        starts = np.concatenate([starts, np.cumsum(counts)[:-1]])
         wp.copy(tree_of, wp.array(np.repeat(np.arange(trees, dtype=np.int32), counts), dtype=int, device=device))
-        launch(cluster_tree.start_forest, count, [
-            tree_of, wp.array(low, dtype=wp.vec3, device=device),
-            wp.array(float(cluster_tree.CURVE_CELLS) / size, dtype=float, device=device),
-            max(0, int(trees).bit_length() - (62 - int(cluster_tree.CURVE_BITS))), lower, upper],
-            [codes, clusters, children], device)
+    low, size = _extent(item_lower.numpy(), item_upper.numpy(), starts)
+    launch(cluster_tree.start_clusters, count, [
+        tree_of, wp.array(low, dtype=wp.vec3, device=device),
+        wp.array(float(cluster_tree.CURVE_CELLS) / size, dtype=float, device=device),
+        max(0, int(trees).bit_length() - (62 - int(cluster_tree.CURVE_BITS))), lower, upper],
+        [codes, clusters, children], device)
     wp.utils.radix_sort_pairs(codes, clusters, count)
     neighbor, following, kept, merged = (wp.empty(count, dtype=int, device=device) for _ in range(4))
     batches, first, reach, slow = [(0, count)], count, radius, 0
@@ -292,9 +294,8 @@ def _cluster(
     return BinaryTree(children, lower, upper, batches, None if counts is None else clusters[:count])
 
 
-def _extent(lower: np.ndarray, upper: np.ndarray, starts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def _extent(lower: np.ndarray, upper: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return float32 [M, 3] and [M]: lowest corners and longest sides of boxes from each start to the next."""
-    starts = np.zeros(1, np.int64) if starts is None else starts
     low, high = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
     return low, np.maximum((high - low).max(1), np.float32(1e-30))
 

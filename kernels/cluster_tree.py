@@ -40,27 +40,6 @@ def spread_bits(value: float) -> wp.int64:
 @wp.kernel
 def start_clusters(
     # In:
-    origin: wp.vec3,
-    scale: float,
-    lower: wp.array[wp.vec3],
-    upper: wp.array[wp.vec3],
-    # Out:
-    codes_out: wp.array[wp.int64],
-    clusters_out: wp.array[int],
-    children_out: wp.array[wp.vec2i],
-):
-    """Make a leaf of each item, and find the Morton code of its middle; `scale` is cells a unit of length."""
-    i = wp.tid()
-    middle = (0.5 * (lower[i] + upper[i]) - origin) * scale
-    codes_out[i] = (
-        (spread_bits(middle[2]) << wp.int64(2)) | (spread_bits(middle[1]) << wp.int64(1)) | spread_bits(middle[0]))
-    clusters_out[i] = i
-    children_out[i] = wp.vec2i(-1 - i, 1)
-
-
-@wp.kernel
-def start_forest(
-    # In:
     tree_of: wp.array[int],
     origins: wp.array[wp.vec3],
     scales: wp.array[float],
@@ -72,12 +51,18 @@ def start_forest(
     clusters_out: wp.array[int],
     children_out: wp.array[wp.vec2i],
 ):
-    """Do the same for the items of many trees, each with its own box; their numbers lead the codes.
+    """Make a leaf of each item, and find the Morton code of its middle in its tree's box, after the tree's number.
 
-    `dropped`: lowest bits of the curve that give way to them.
+    In detail:
+        tree_of: Each item's tree; empty where there is but one.
+        origins: Of each tree's box.
+        scales: Cells a unit of length, of each tree.
+        dropped: Lowest bits of the curve that give way to the numbers.
     """
     i = wp.tid()
-    tree = tree_of[i]
+    tree = int(0)
+    if tree_of.shape[0] > 0:
+        tree = tree_of[i]
     middle = (0.5 * (lower[i] + upper[i]) - origins[tree]) * scales[tree]
     code = (spread_bits(middle[2]) << wp.int64(2)) | (spread_bits(middle[1]) << wp.int64(1)) | spread_bits(middle[0])
     codes_out[i] = (wp.int64(tree) << wp.int64(CURVE_BITS - dropped)) | (code >> wp.int64(dropped))

@@ -23,7 +23,7 @@ from __future__ import annotations
 import warp as wp
 
 from .wide_layers import CHANCE_LAYER, CLOSEST_LAYER, PASSING_LAYER, shadow_layer
-from .wide_query import CLOSEST, MAX_DEPTH, POSTPONE, WAITING, query_source
+from .wide_query import CLOSEST, MAX_DEPTH, POSTPONE, WAITING, Way, query_source
 
 RECORD_WORDS = wp.constant(20)
 
@@ -33,12 +33,7 @@ InstanceHit = wp.types.vector(length=5, dtype=float)
 InstanceLayerHit = wp.types.vector(length=6, dtype=float)
 """The same, and the share that passes where it was hit"""
 
-_TRAVERSE_INSTANCES = """
-    if (nodes == 0u)
-        return NOTHING;
-LOADS
-LEAST_AND_MOST
-RAY
+_START = """
     auto words_at = [](unsigned int low, unsigned int high) -> const wp::uint32* {
         return reinterpret_cast<const wp::uint32*>((unsigned long long)low | ((unsigned long long)high << 32));
     };
@@ -49,23 +44,11 @@ RAY
     const wp::uint32* record_words = reinterpret_cast<const wp::uint32*>(records);
     const wp::uint32* node_words = upper_words;
     const wp::uint32* triangle_words = nullptr;
-    aim(origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]);
-    float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
-    int best_key = -1, best_instance = -1;
-    int instance = -1, first_face = 0;
-    unsigned long long stack[STACK_SIZE];
+    int best_instance = -1, instance = -1, first_face = 0;
     // Inside an instance the upper level's entries lie below `ground`.
-    int depth = 0, ground = 0;
-    unsigned int group_base = 0u, group = 0x80000000u;
-    while (true) {
-        unsigned int triangle_base, leaves;
-        if (group > 0x00ffffffu) {
-VISIT_NODE
-        } else {
-            triangle_base = group_base;
-            leaves = group;
-            group = 0u;
-        }
+    int ground = 0;
+"""
+_ENTER = """
         if (leaves != 0u && instance < 0) {
             const int bit = highest_bit(leaves);
             leaves &= ~(1u << bit);
@@ -92,40 +75,27 @@ VISIT_NODE
             group = 0x80000000u;
             leaves = 0u;
         }
-        while (leaves != 0u) {
-POSTPONE            const int bit = highest_bit(leaves);
-            leaves &= ~(1u << bit);
-TEST_TRIANGLE
-        }
-        if (group <= 0x00ffffffu) {
+"""
+_LEAVE = """
             if (depth == ground && instance >= 0) {
                 instance = -1;
                 ground = 0;
                 node_words = upper_words;
                 aim(origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]);
             }
-            if (depth == 0)
-                break;
-            const unsigned long long entry = stack[--depth];
-            group_base = (unsigned int)(entry >> 32);
-            group = (unsigned int)entry;
-        }
-    }
 """
+# The upper level has as many entries, and one for leaves left of the node that the instance is from.
+_WAY = Way(_START, _ENTER, _LEAVE, "depth - ground", MAX_DEPTH + 1)
 _KEY = "first_face + (int)face_word"
 # Its lowest bit tells whether a layer's map says that it is solid.
 _LAYER_KEY = "2 * (first_face + (int)face_word)"
 
 
-def _source(
-    found: str, result: str, nothing: str, *, postponing: bool = False, key: str = _KEY,
-) -> str:
+def _source(found: str, result: str, nothing: str, *, postponing: bool = False, key: str = _KEY) -> str:
     """Return the native source of a query; `nothing`: what it returns without instances."""
     postpone, waiting = (POSTPONE, WAITING) if postponing else ("", 0)
-    return query_source(
-        found, result, postpone.replace("depth < WAITING", f"depth < ground + {waiting}"),
-        # The upper level has as many entries, and one for leaves left of the node that the instance is from.
-        waiting + MAX_DEPTH + 1, key, _TRAVERSE_INSTANCES.replace("NOTHING", nothing))
+    return f"    if (nodes == 0u)\n        return {nothing};\n" + query_source(
+        found, result, postpone, waiting, key, _WAY)
 
 
 def _hit(*values: str) -> str:

@@ -6,7 +6,8 @@ wide_bvh.py tells what nodes and triangles look like. A line that is a name in c
 
 from __future__ import annotations
 
-__all__ = ["CLOSEST", "MAX_DEPTH", "POSTPONE", "RESULT", "WAITING", "query_source", "with_blocks"]
+__all__ = ["CLOSEST", "MAX_DEPTH", "POSTPONE", "RESULT", "WAITING", "Way", "query_source", "with_blocks"]
+
 
 # Levels of nodes that a tree may have. Each needs at most one entry of a ray's stack.
 MAX_DEPTH = 32
@@ -169,8 +170,7 @@ _TRAVERSE = """
 LOADS
 LEAST_AND_MOST
 RAY
-    const wp::uint32* node_words = nodes.data;
-    const wp::uint32* triangle_words = triangles.data;
+START
     aim(origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]);
     float best_t = t_max, best_u = 0.0f, best_v = 0.0f;
     int best_key = -1;
@@ -186,12 +186,14 @@ VISIT_NODE
             leaves = group;
             group = 0u;
         }
+ENTER
         while (leaves != 0u) {
 POSTPONE            const int bit = highest_bit(leaves);
             leaves &= ~(1u << bit);
 TEST_TRIANGLE
         }
         if (group <= 0x00ffffffu) {
+LEAVE
             if (depth == 0)
                 break;
             const unsigned long long entry = stack[--depth];
@@ -291,19 +293,41 @@ CLOSEST = """best_t = t;
                     best_u = u * scale;
                     best_v = v * scale;
                     best_key = KEY;"""
+_START = """    const wp::uint32* node_words = nodes.data;
+    const wp::uint32* triangle_words = triangles.data;
+"""
 RESULT = "wp::vec4(best_t, best_u, best_v, as_float((unsigned int)best_key))"
 
-def with_blocks(text: str) -> str:
+
+class Way:
+    """What is different in ways through one level or two."""
+
+    def __init__(self, start: str = _START, enter: str = "", leave: str = "", waiting: str = "depth", entries: int = 0):
+        """Describe one.
+
+        Args:
+            start: Where node_words and triangle_words lie at first.
+            enter: What comes before leaves' triangles are tested.
+            leave: What comes before the ray turns to what waits on the stack.
+            waiting: How many entries wait.
+            entries: Of the stack, besides MAX_DEPTH.
+        """
+        self.start, self.enter, self.leave, self.waiting, self.entries = start, enter, leave, waiting, entries
+
+
+def with_blocks(text: str, way: Way | None = None) -> str:
     """Return native source with the names of blocks, on lines of their own, replaced by them."""
+    way = way or Way()
     for name, block in (
-            ("LOADS", _LOADS), ("LEAST_AND_MOST", _LEAST_AND_MOST), ("RAY", _RAY), ("VISIT_NODE", _VISIT_NODE),
+            ("START", way.start), ("ENTER", way.enter), ("LEAVE", way.leave), ("LOADS", _LOADS),
+            ("LEAST_AND_MOST", _LEAST_AND_MOST), ("RAY", _RAY), ("VISIT_NODE", _VISIT_NODE),
             ("TEST_BOXES", _TEST_BOXES), ("TEST_TRIANGLE", _TEST_TRIANGLE), ("MEET", _MEET)):
         text = text.replace(f"{name}\n", block.lstrip("\n"))
     return text
 
 
 def query_source(
-    found: str, result: str, postpone: str = "", waiting: int = 0, key: str = FACE, traverse: str = _TRAVERSE,
+    found: str, result: str, postpone: str = "", waiting: int = 0, key: str = FACE, way: Way | None = None,
 ) -> str:
     """Return the native source of a query.
 
@@ -313,8 +337,10 @@ def query_source(
         postpone: POSTPONE, or nothing for queries that end at hits.
         waiting: WAITING with POSTPONE.
         key: What tells hits at the same distance apart: the lowest counts.
-        traverse: The way through the tree.
+        way: Through the tree; None: through one level.
     """
-    text = with_blocks(traverse).replace("POSTPONE", postpone.lstrip("\n"))
-    text = text.replace("STACK_SIZE", str(MAX_DEPTH + waiting)).replace("WAITING", str(waiting))
+    way = way or Way()
+    text = with_blocks(_TRAVERSE, way).replace("POSTPONE", postpone.lstrip("\n"))
+    text = text.replace("STACK_SIZE", str(MAX_DEPTH + way.entries + waiting))
+    text = text.replace("depth < WAITING", f"{way.waiting} < {waiting}")
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"

@@ -21,13 +21,16 @@ from burnish.engine.stress import scenes as made
 from burnish.engine.stress.scenes import emitter, lamp, place, sphere
 from burnish.engine.stress.scenes import make_mesh as mesh
 
-__all__ = ["SETTINGS", "box", "camera_above", "delta", "emitter", "instances", "lamp", "material", "mesh", "place",
-           "quad", "render", "sphere", "transparent", "world"]
+__all__ = ["DEVICE", "SETTINGS", "box", "camera_above", "delta", "emitter", "instances", "lamp", "material", "mesh",
+           "place", "quad", "render", "sphere", "transparent", "world"]
 
 SETTINGS = RenderSettings(
     device=Device(os.environ.get("BURNISH_TEST_DEVICE", "cpu")), film=FilmSettings(pixel_filter=PixelFilter.BOX),
     sampling=SamplingSettings(integrator=Integrator.REFERENCE))
 """The reference integrator on the device that `pytest --device` names"""
+
+DEVICE = "cuda:0" if SETTINGS.device is Device.CUDA else "cpu"
+"""That device, as Warp calls it"""
 
 world = functools.cache(made.world)
 

@@ -19,6 +19,7 @@ from ...engine.hair import Strands, Tubes, make_tubes, needed_steps, spared_poin
 from ...engine.hair_info import along_strands, hair_attributes
 from ...engine.report import Report
 from ...engine.scene import MeshData
+from ...engine.texels import srgb_to_linear
 from .hair import thinned, tube_mesh
 
 __all__ = ["extract_particle_hair", "has_particle_hair"]
@@ -157,7 +158,7 @@ def _of_emitter(systems: list[_System], mesh: bpy.types.Mesh, tubes: Tubes,
     for number, color in enumerate(colors):
         encoded = _at_roots(systems, "mcol_on_emitter", "vcol_no", number, 3)
         values = np.ones((len(encoded), 4), np.float32)
-        values[:, :3] = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+        values[:, :3] = srgb_to_linear(encoded)
         attributes[color] = values[strand]
     return uv_maps, attributes
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
@@ -15,44 +14,33 @@ from burnish.engine.session import Session
 from burnish.engine.settings import Integrator, PerformanceSettings
 from burnish.engine.structures import decides_layers
 from burnish.kernels.decided_instances import share_through_all
-from burnish.kernels.intersect import any_hit, closest_layer, shadow_layer
+from burnish.kernels.intersect import any_hit
 from burnish.kernels.types import Scene
 from burnish.kernels.wide_instances import chance_layer_in_instances
 
 from tests import scenes
-from tests.unit.engine.test_opacity_maps import blobs, leaves, masked
+from tests.scenes import DEVICE
+from tests.unit.engine.test_opacity_maps import blobs, follow, leaves, masked
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
-DEVICE = {"cuda": "cuda:0"}.get(os.environ.get("BURNISH_TEST_DEVICE", ""), "cpu")
 RAYS = 2000
 MATERIALS = {"leaf": masked(), "coarse": masked(0.6, channel=1), "half": scenes.transparent(0.4, color=0.7),
              "grey": scenes.material(color=0.5)}
 
 
 @wp.kernel
-def look(
+def look_through_all(
     # In:
     scene: Scene,
     origin: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
     t_max: float,
     # Out:
-    t_out: wp.array2d[float],
-    face_out: wp.array2d[wp.vec2i],
-    solid_out: wp.array2d[int],
     share_out: wp.array[float],
 ):
-    """Find layers, row 0 the closest and row 1 what a shadow ray meets, and the light that comes through everything."""
+    """Find what share of light comes through everything."""
     i = wp.tid()
-    layer = closest_layer(scene.geometry, origin[i], direction[i], t_max)
-    shadow = shadow_layer(scene.geometry, origin[i], direction[i], t_max)
-    t_out[0, i] = layer.hit.t
-    t_out[1, i] = shadow.hit.t
-    face_out[0, i] = wp.vec2i(layer.hit.instance, layer.hit.triangle)
-    face_out[1, i] = wp.vec2i(shadow.hit.instance, shadow.hit.triangle)
-    solid_out[0, i] = layer.solid
-    solid_out[1, i] = shadow.solid
     share_out[i] = share_through_all(scene.geometry, origin[i], direction[i], t_max)
 
 
@@ -107,14 +95,14 @@ def delta(placed: list[tuple]) -> SceneDelta:
 
 
 def looked(made: DeviceScene, t_max: float = 1e30) -> list[np.ndarray]:
-    """Return what `look` finds for random rays."""
+    """Return what `follow` and `look_through_all` find for random rays."""
     rng = np.random.default_rng(7)
     rays = rng.uniform(-2, 2, (RAYS, 3)), rng.normal(size=(RAYS, 3))
+    inputs = [made.scene, *(wp.array(x.astype(np.float32), dtype=wp.vec3, device=DEVICE) for x in rays), t_max]
     outputs = [wp.zeros(shape, dtype=kind, device=DEVICE) for shape, kind in (
         ((2, RAYS), float), ((2, RAYS), wp.vec2i), ((2, RAYS), int), (RAYS, float))]
-    wp.launch(look, RAYS, [
-        made.scene, *(wp.array(x.astype(np.float32), dtype=wp.vec3, device=DEVICE) for x in rays), t_max], outputs,
-        device=DEVICE)
+    wp.launch(follow, RAYS, inputs, outputs[:3], device=DEVICE)
+    wp.launch(look_through_all, RAYS, inputs, outputs[3:], device=DEVICE)
     return [output.numpy() for output in outputs]
 
 
@@ -163,10 +151,9 @@ def test_chances_of_instances_are_their_shares(monkeypatch: pytest.MonkeyPatch) 
     passed = wp.zeros((100, 4000), dtype=int, device=DEVICE)
     rays = [wp.array(x, dtype=wp.vec3, device=DEVICE) for x in (origin - made.origin.astype(np.float32), direction)]
     wp.launch(pass_by_chance, (100, 4000), [made.scene, *rays, 1e30], [passed], device=DEVICE)
-    outputs = [wp.zeros(shape, dtype=kind, device=DEVICE) for shape, kind in (
-        ((2, 100), float), ((2, 100), wp.vec2i), ((2, 100), int), (100, float))]
-    wp.launch(look, 100, [made.scene, *rays, 1e30], outputs, device=DEVICE)
-    share = outputs[3].numpy()
+    shares = wp.zeros(100, dtype=float, device=DEVICE)
+    wp.launch(look_through_all, 100, [made.scene, *rays, 1e30], [shares], device=DEVICE)
+    share = shares.numpy()
     assert len(np.unique(share.round(4))) > 3
     np.testing.assert_allclose(passed.numpy().mean(1), share, atol=0.035)
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +15,11 @@ from burnish.kernels.intersect import any_hit, closest_hit, closest_layer
 from burnish.kernels.types import Scene
 
 from tests import scenes
+from tests.scenes import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 RAYS = 3000
-DEVICE = {"cuda": "cuda:0"}.get(os.environ.get("BURNISH_TEST_DEVICE", ""), "cpu")
 MATERIALS = {"grey": scenes.material(color=0.5), "clear": scenes.transparent(0.4, color=0.7)}
 
 
