@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .decided_layers import stop_at, stopping_hit
-from .intersect import MISS, any_hit, closest_hit
+from .intersect import MISS, any_hit, closest_hit, hit_at
 from .layers import LAYER_STREAM
 from .list_order import first_dealt
 from .paths import ENDED, Options, Paths, load_hit, store_hit
@@ -41,12 +41,7 @@ def meet_all_layers(geometry: Geometry, paths: Paths, slot: int):
     face = wp.cast(found[3], int)
     if face >= 0:
         passing = found[5]
-        hit.t = found[0]
-        hit.instance = wp.cast(found[4], int)
-        hit.triangle = geometry.mesh_faces[face]
-        # The weights found are those of the first and second vertex.
-        hit.u = found[2]
-        hit.v = 1.0 - found[1] - found[2]
+        hit = hit_at(wp.cast(found[4], int), geometry.mesh_faces[face], found[0], found[1], found[2])
     stop_at(paths, slot, hit, passing)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .flat_tracing import any_flat, closest_flat
-from .intersect import MISS, Hit
+from .intersect import MISS, Hit, hit_at
 from .layers import LAYER_STREAM
 from .list_order import first_dealt
 from .paths import ENDED, Options, Paths, load_hit, store_hit
@@ -41,11 +41,7 @@ def stopping_hit(geometry: Geometry, found: LayerHit) -> Hit:
     number = wp.cast(found[3], int)
     if number >= 0:
         face = geometry.flat_filtered.faces[number]
-        hit.instance = face[0]
-        hit.triangle = face[1]
-        # The weights found are those of the first and second vertex.
-        hit.u = found[2]
-        hit.v = 1.0 - found[1] - found[2]
+        hit = hit_at(face[0], face[1], found[0], found[1], found[2])
     return hit
 
 

@@ -59,6 +59,18 @@ class Layer:
 
 
 @wp.func
+def hit_at(instance: int, triangle: int, t: float, first: float, second: float) -> Hit:
+    """Return a hit by the weights of the triangle's first and second vertex, which queries tell."""
+    hit = Hit()
+    hit.t = t
+    hit.instance = instance
+    hit.triangle = triangle
+    hit.u = second
+    hit.v = 1.0 - first - second
+    return hit
+
+
+@wp.func
 def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit: Hit) -> Hit:
     """Shorten `hit` by the flattened triangles of one structure."""
     result = hit
@@ -67,12 +79,7 @@ def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit
         number = wp.cast(found[3], int)
         if number >= 0:
             face = flat.faces[number]
-            result.t = found[0]
-            result.instance = face[0]
-            result.triangle = face[1]
-            # The weights found are those of the first and second vertex.
-            result.u = found[2]
-            result.v = 1.0 - found[1] - found[2]
+            result = hit_at(face[0], face[1], found[0], found[1], found[2])
     return result
 
 
@@ -85,10 +92,7 @@ def found_layer(flat: FlatTriangles, found: wp.vec4) -> Layer:
     key = wp.cast(found[3], int)
     if key >= 0:
         face = flat.faces[key >> 1]
-        layer.hit.instance = face[0]
-        layer.hit.triangle = face[1]
-        layer.hit.u = found[2]
-        layer.hit.v = 1.0 - found[1] - found[2]
+        layer.hit = hit_at(face[0], face[1], found[0], found[1], found[2])
         layer.solid = key & 1
     return layer
 
@@ -128,12 +132,7 @@ def closest_instanced(
     found = closest_in_instances(level.nodes, level.records, origin, direction, hit.t)
     face = wp.cast(found[3], int)
     if face >= 0:
-        result.t = found[0]
-        result.instance = wp.cast(found[4], int)
-        result.triangle = mesh_faces[face]
-        # The weights found are those of the first and second vertex.
-        result.u = found[2]
-        result.v = 1.0 - found[1] - found[2]
+        result = hit_at(wp.cast(found[4], int), mesh_faces[face], found[0], found[1], found[2])
     return result
 
 
@@ -143,11 +142,8 @@ def instanced_layer(geometry: Geometry, found: InstanceHit, flat: Layer) -> Laye
     layer = flat
     key = wp.cast(found[3], int)
     if key >= 0:
-        layer.hit.t = found[0]
-        layer.hit.instance = wp.cast(found[4], int)
-        layer.hit.triangle = geometry.mesh_faces[key >> 1]
-        layer.hit.u = found[2]
-        layer.hit.v = 1.0 - found[1] - found[2]
+        layer.hit = hit_at(
+            wp.cast(found[4], int), geometry.mesh_faces[key >> 1], found[0], found[1], found[2])
         layer.solid = key & 1
     return layer
 
