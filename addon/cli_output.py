@@ -26,10 +26,16 @@ class Console:
         self._shown = 0
 
     def print(self, line: str) -> None:
-        """Write a line of results."""
+        """Write a line of results; say nothing more where nobody reads any more, as behind `| head`."""
         self.clear()
-        self.out.write(line + "\n")
-        self.out.flush()
+        try:
+            self.out.write(line + "\n")
+            self.out.flush()
+        except BrokenPipeError:  # what is still in the buffer has to go somewhere, and a render shall end as it would
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.out.fileno())
+            os.close(nowhere)
+            self.out.flush()
 
     def progress(self, text: str) -> None:
         """Replace the line of progress on a terminal; elsewhere say nothing."""

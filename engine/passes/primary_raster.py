@@ -16,7 +16,7 @@ from ...kernels.types import FlatTriangles, Scene
 from ..flat_structure import FlatStructure
 from ..frame_graph import FrameGraph
 from ..structures import Structures
-from ..work_list import make_work_list
+from ..work_list import WorkList, make_work_list
 
 __all__ = ["PrimaryRaster", "count_in_blocks"]
 
@@ -48,6 +48,7 @@ class PrimaryRaster:
         self.seen = Visibility()
         self.seen.nearest = wp.zeros(width * height, dtype=wp.uint64, device=self.device)
         self.seen.veiled = wp.zeros(1, dtype=wp.uint8, device=self.device)
+        self.veiled: WorkList | None = None
         self.lists = RasterLists()
         self.lists.records = wp.zeros(3 * self.records, dtype=wp.vec4, device=self.device)
         self.lists.tiles = wp.zeros(self.tiles, dtype=wp.vec4i, device=self.device)
@@ -64,7 +65,7 @@ class PrimaryRaster:
         graph.clear(self.seen.nearest)
         self._record_triangles(graph, structures.opaque, geometry.flat, views, veils=False)
         if filtered:
-            if len(self.seen.veiled) != count:
+            if self.veiled is None:
                 self.seen.veiled = wp.zeros(count, dtype=wp.uint8, device=self.device)
                 self.veiled = make_work_list(count, self.device)
             graph.clear(self.seen.veiled)

@@ -193,6 +193,8 @@ def break_material(kind: str, name: str, values: list[Any]) -> StressScene:
         arguments = {"color": 0.5, "roughness": 0.3}
         if name.startswith("subsurface_"):
             arguments |= {"subsurface": 1.0, "subsurface_method": "WALK", "subsurface_radius": 0.1}
+        if name == "film_ior":
+            arguments["film_thickness"] = 400.0
         base = principled if kind == "PRINCIPLED" else partial(material, kind)
         if name == "emission_strength":
             scene.delta.materials[f"thing {i}"] = base(emission=values[i], **arguments)

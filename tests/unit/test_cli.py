@@ -123,6 +123,22 @@ def test_foreign_output_goes_aside(capfd: pytest.CaptureFixture) -> None:
     assert capfd.readouterr() == ("ours\nafter\n", "")
 
 
+def test_readers_may_leave() -> None:
+    """Go on without a word where nobody reads the lines any more, as behind `| head`, and leave other output as is."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    saved = os.dup(1)
+    os.dup2(writing, 1)
+    try:
+        with cli_output.diverted_output(show_all=False) as console:
+            console.print("first")
+            console.print("second")
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(writing)
+
+
 def test_output_returns_after_an_error(capfd: pytest.CaptureFixture) -> None:
     """Restore the output when the diverted block raises."""
     with pytest.raises(BurnishError), cli_output.diverted_output(show_all=False):

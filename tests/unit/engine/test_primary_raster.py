@@ -41,13 +41,13 @@ def camera(half=0.6, *, at=6.0, orthographic=False, **fields):
     return dataclasses.replace(made, window=(-wide, wide, -half, half), **fields)
 
 
-def found(delta, view, rasterizing, jitter=JITTER, part=None, **change):
+def found(delta, view, rasterizing, jitter=JITTER, part=None, size=SIZE, **change):
     """Return the hits of a frame's primary rays, and the layers before them; `part`: (size of the whole, corner)."""
-    frames = GBufferFrames(delta, SIZE, rasterizing=rasterizing)
+    frames = GBufferFrames(delta, size, rasterizing=rasterizing)
     frames.full, frames.corner = part or (None, (0, 0))
     for name, value in change.items():
         setattr(frames.gbuffer_pass.raster, name, value)
-    frames.gbuffer_pass.resize(*SIZE)
+    frames.gbuffer_pass.resize(*size)
     frames.frame(view, np.array(jitter))
     hits = frames.gbuffer_pass.hits
     names = ("t", "hit", "barycentrics", *(("layer",) if frames.scene.structures.has_filtered else ()))
@@ -154,6 +154,15 @@ def test_layers_before_what_is_shown():
     frames.frame(camera(), np.array(JITTER))
     veiled = frames.gbuffer_pass.raster.seen.veiled.numpy() == 1
     assert veiled[layered].all() and (veiled & ~layered).mean() < 0.01
+
+
+def test_a_single_pixel_with_layers():
+    """Draw layers into pictures of one pixel, and of more after it."""
+    meshes = {"veil": scenes.quad(4.0), "mesh": scenes.quad(4.0)}
+    delta = scenes.delta(meshes, [("veil", scenes.place(0.0, 0.0, 1.0), "veil"), ("mesh", np.eye(4), "grey")], GREY)
+    for size in ((1, 1), (2, 1)):
+        hits = compare(delta, camera(), size=size)
+        assert (hits["layer"][:, 0] >= 0).all()
 
 
 def test_instances_beside_what_is_flattened():
