@@ -11,8 +11,9 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import warp as wp
@@ -178,23 +179,39 @@ def use_threads(count: int) -> None:
 def run_bands(jobs: Iterable[Callable[[], None]]) -> None:
     """Run jobs that touch disjoint elements on all cores and wait; the first failure is raised.
 
-    Warp's launches release the interpreter lock, so Python threads scale.
+    Warp's launches release the interpreter lock, so Python threads scale. The caller's is one of them: to hand over
+    each job costs as much as a small launch takes.
     """
     global _pool
-    jobs = list(jobs)
-    if thread_count() == 1 or len(jobs) == 1:
-        for job in jobs:
-            job()
+    waiting = deque(jobs)
+    helpers = min(thread_count(), len(waiting)) - 1
+
+    def work() -> None:
+        while True:
+            try:
+                job = waiting.popleft()
+            except IndexError:
+                return
+            try:
+                job()
+            except BaseException:
+                waiting.clear()
+                raise
+
+    if helpers <= 0:
+        work()
         return
     with _start_lock:
         if _pool is None:
             _pool = ThreadPoolExecutor(thread_count(), thread_name_prefix="burnish")
-    futures = [_pool.submit(job) for job in jobs]
-    done, pending = wait(futures, return_when=FIRST_EXCEPTION)
-    for future in pending:
-        future.cancel()
-    wait(futures)
-    for future in done:
+    futures = [_pool.submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        # Those that others' jobs have kept from starting have nothing left to do.
+        begun = [future for future in futures if not future.cancel()]
+        wait(begun)
+    for future in begun:
         future.result()
 
 

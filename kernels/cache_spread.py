@@ -31,7 +31,7 @@ from .cache_cells import (
 from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
 from .cache_shade import bounced_light, lossy_light
 from .geometry_math import is_finite3
-from .hash_grid import EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key, wide_key
+from .hash_grid import BUCKET, EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key, wide_key
 from .packing import rgb, unpack_normal
 from .paths import Paths
 from .view import View, settling_frames
@@ -179,28 +179,44 @@ def find_beyond(
 
 
 @wp.kernel
-def spread_cells(
-    first: int,
+def list_cells(
     # In:
     views: wp.array[View],
-    control: CacheControl,
-    sample_cap: float,
+    grid: HashGrid,
     # Out:
-    grid_out: HashGrid,
+    cells_out: wp.array[int],
+    count_out: wp.array[int],
 ):
-    """Blend what a sweep has brought with what cells held before the frame; before the first sweep that alone."""
+    """List the cells in use; a thread looks at a bucket. Atomic: no bands."""
     if not sweeping(views[0]):
         return
-    cell = first + wp.tid()
-    if grid_out.keys[cell] == EMPTY:
-        grid_out.spread[cell] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    first = wp.tid() * BUCKET
+    used = int(0)
+    i = int(0)
+    while i < BUCKET:
+        if grid.keys[first + i] != EMPTY:
+            used = used + 1
+        i = i + 1
+    if used == 0:
         return
+    place = wp.atomic_add(count_out, 0, used)
+    slot = int(first)
+    while slot < first + BUCKET:
+        if grid.keys[slot] != EMPTY:
+            cells_out[place] = slot
+            place = place + 1
+        slot = slot + 1
+
+
+@wp.func
+def spread_cell(view: View, control: CacheControl, sample_cap: float, grid_out: HashGrid, cell: int):
+    """Blend what a sweep has brought into a cell with what it held before the frame."""
     light = scaled(grid_out.indirect[cell], control.factors[0])
     bounced = grid_out.counts[2 * cell + 1]
     if bounced > 0:
         light = blend(
             light, grid_out.sums, 6 * cell + 3, bounced,
-            history_share(views[0], sample_cap, float(control.age[0]), bounced), wp.vec3(1.0, 1.0, 1.0))
+            history_share(view, sample_cap, float(control.age[0]), bounced), wp.vec3(1.0, 1.0, 1.0))
         grid_out.counts[2 * cell + 1] = 0
         for i in range(3):
             grid_out.sums[6 * cell + 3 + i] = wp.int64(0)
@@ -208,6 +224,31 @@ def spread_cells(
         # Of before the edit: coarse cells with samples know more.
         light[3] = 0.0
     grid_out.spread[cell] = light
+
+
+@wp.kernel
+def spread_cells(
+    first: int,
+    # In:
+    views: wp.array[View],
+    control: CacheControl,
+    sample_cap: float,
+    cells: wp.array[int],
+    count: wp.array[int],
+    threads: int,
+    # Out:
+    grid_out: HashGrid,
+):
+    """Take a sweep's light into the cells in use (list_cells); before the first sweep they have what they held.
+
+    Thread i of so many takes cells i, i + threads, ... of the list.
+    """
+    if not sweeping(views[0]):
+        return
+    i = int(first + wp.tid())
+    while i < count[0]:
+        spread_cell(views[0], control, sample_cap, grid_out, cells[i])
+        i = i + threads
 
 
 @wp.func

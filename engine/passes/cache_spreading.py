@@ -10,9 +10,10 @@ import warp as wp
 from ...kernels import cache_cells, cache_rays, cache_spread
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
-from ...kernels.hash_grid import HashGrid
+from ...kernels.hash_grid import BUCKET, HashGrid
 from ...kernels.paths import Paths
 from ..frame_graph import FrameGraph
+from ..work_list import LISTED_THREADS, WorkList
 
 __all__ = [
     "FURTHER_SHARES", "SWEEPS", "LightPhase", "light_phase", "record_coarse_cells", "record_continuing",
@@ -25,6 +26,9 @@ SWEEPS = 16
 FURTHER_SHARES = (0.5, 0.25)
 """Rays by bounce ray that go on from where bounce rays have ended in the same frame while light spreads, and from there
 again. A third of them find cells from which none has started: they cost 4 to 5 % of such a frame's rays"""
+
+PROCESSOR_THREADS = 1 << 12
+"""The same as work_list.LISTED_THREADS on a processor: enough to be dealt out evenly over its cores"""
 
 SETTLED = int(cache_cells.REBALANCE_FRAMES) + 1
 """Frames after which the balance has left the cells alone for one frame"""
@@ -82,7 +86,7 @@ def record_coarse_cells(
 
 def record_spreading(
     graph: FrameGraph, views: wp.array, grid: HashGrid, control: CacheControl, paths: Paths, vertices: Vertices,
-    count: int, bounces: int, sample_cap: float, *, all_bounces: bool,
+    live: WorkList, count: int, bounces: int, sample_cap: float, *, all_bounces: bool,
 ) -> None:
     """Record finding what bounce rays carry from cell to cell; comes between gathering and adding up their light.
 
@@ -93,6 +97,7 @@ def record_spreading(
         control: Has the factors of the balance afterwards.
         paths: The frame's rays.
         vertices: Where they ended; `carried` is found anew in sweeps.
+        live: Takes the cells in use, with room for all.
         count: Probe rays: slots before those of the bounce rays.
         bounces: Slots of bounce rays.
         sample_cap: Most samples that a cell averages over while something moves.
@@ -103,8 +108,14 @@ def record_spreading(
     if not all_bounces:
         return
     graph.launch(cache_spread.find_beyond, bounces, [views, grid, paths, count], [vertices])
+    # Of a million cells some thousand are in use.
+    graph.clear(live.count)
+    graph.launch(
+        cache_spread.list_cells, len(grid.keys) // int(BUCKET), [views, grid], [live.queue, live.count], banded=False)
+    threads = min(len(live.queue), LISTED_THREADS if graph.cuda else PROCESSOR_THREADS)
     for sweep in range(SWEEPS):
-        graph.launch(cache_spread.spread_cells, len(grid.keys), [views, control, sample_cap], [grid])
+        graph.launch(
+            cache_spread.spread_cells, threads, [views, control, sample_cap, live.queue, live.count, threads], [grid])
         graph.launch(
             cache_spread.spread_light, bounces, [views, count, int(sweep + 1 < SWEEPS)], [grid, control, vertices],
             banded=False)

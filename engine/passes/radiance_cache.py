@@ -30,7 +30,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
 from ..settings import CacheSettings
-from ..work_list import make_queue, make_work_list
+from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
     COUNTERS,
     count_rays,
@@ -92,6 +92,8 @@ class RadianceCachePass:
         self.capacity = 1 << settings.capacity
         self.grid = make_grid(settings, device)
         self.control = make_control(device)
+        self.live = WorkList(self._zeros(self.capacity, int), self._zeros(1, int))
+        """Cells in use, listed while light goes on within frames"""
         self.pending = self._zeros(1, int)
         """Frame that has started bounce rays for the next one, plus one"""
         self.count = self.bounces = self.settled = -1
@@ -357,7 +359,7 @@ class RadianceCachePass:
                 graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
             if bounces > 0:
                 record_spreading(
-                    graph, views, grid, control, self.paths, self.vertices, self.count, bounces,
+                    graph, views, grid, control, self.paths, self.vertices, self.live, self.count, bounces,
                     float(settings.sample_cap), all_bounces=sweeping and settings.bounces != 2)
             self._record_sums(graph, views, 0, self.count + bounces)
             graph.join(*after)

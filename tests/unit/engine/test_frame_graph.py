@@ -63,9 +63,8 @@ def addresses(values, slots=None):
 
 CELL_KERNELS = {
     "insert_vertices", "accumulate_light", "choose_cache_lights", "choose_reflection_lights", "choose_glossy_lights",
-    "start_bounces",
-    "gather_bounces", "follow_near_hits", "balance_bounces", "find_beyond", "spread_cells", "spread_light",
-    "mark_sources", "continue_bounces"}
+    "start_bounces", "gather_bounces", "follow_near_hits", "balance_bounces", "find_beyond", "list_cells",
+    "spread_cells", "spread_light", "mark_sources", "continue_bounces"}
 """They make cells and add to their sums by atomics, or read what none of them changes in a cell that was there.
 
 Those that spread light have the sums and counts of indirect light for themselves: other branches add direct light. The
