@@ -250,6 +250,26 @@ def test_thin_lines_are_no_dashes(device):
     assert error[1000] < 0.75 * error[0]
 
 
+@pytest.mark.parametrize("step", [0.2, 0.37])
+def test_edges_before_the_sky_are_not_black(device, step):
+    """Keep the light of a wall and of a bar of two pixels before a sky that is seventy times as bright, in a pan."""
+    def pattern(x, y):
+        slanted = x + 0.07 * y
+        return np.where((slanted < 18.0) | (np.abs(slanted - 30.0) < 1.0), 0.3, 20.0)
+
+    frames = Frames(device)
+    x, y = centers()
+    for k in range(40):
+        j = jitter_of(k)
+        picture = frames.add(
+            opaque(pattern(x + j[0] - step * k, y + j[1])), rest=0, motion=(step, 0.0), restart=int(k == 0),
+            jitter=tuple(j), moved_age=1000)
+    exact = filtered(pattern, step * 39)
+    dark = exact < 0.35
+    assert dark.sum() > 300
+    assert picture[..., 0][dark].min() > 0.2
+
+
 def test_switched_off_and_restart_show_this_frame_alone(device):
     """Copy the frame where anti-aliasing is off or nothing before is valid."""
     frames = Frames(device)
