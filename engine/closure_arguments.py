@@ -6,7 +6,7 @@ from __future__ import annotations
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 
-__all__ = ["ARGUMENTS", "closure_code", "slot_count"]
+__all__ = ["ARGUMENTS", "HAIR_ARGUMENTS", "closure_code", "slot_count"]
 
 ARGUMENTS = {
     "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
@@ -23,6 +23,14 @@ ARGUMENTS = {
     "film_ior": codes.ARG_FILM_IOR,
 }
 """Names of a closure's arguments and their slots"""
+
+HAIR_ARGUMENTS = {
+    "strand": codes.ARG_NORMAL, "absorption": codes.ARG_TANGENT, "radial_roughness": codes.ARG_ANISOTROPIC,
+    "tilt": codes.ARG_ANISOTROPIC_ROTATION, "primary_roughness": codes.ARG_FILM_THICKNESS,
+}
+"""Of the kind HAIR beside weight, roughness and ior: the strand's direction in the world, absorption over its radius,
+roughness around it, the scales' lean [rad], and R's roughness by that of the others. Its color is factors on R, TT and
+TRT (kernels/hair_lobes.py)"""
 
 SIMPLE_SLOTS = 9
 """Slots that BSDFs other than the Principled one pass"""

@@ -35,7 +35,7 @@ BLOCK_SIZES = dict.fromkeys(
     ("tracing", "flat_tracing", "flat_paths", "misses", "layers", "layers_lean", "materials", "reference",
      "reference_film", "reference_lean", "reference_plain", "denoise_guides_lean", "first_hits", "occlusion",
      "shadow_share", "shadow_layers", "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers",
-     "gbuffer_layers_lean", "gbuffer_exact", "materials_exact",
+     "gbuffer_layers_lean", "gbuffer_exact", "materials_exact", "materials_hair", "reference_hair",
      "gbuffer_behind", "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean", "cache_materials",
      "cache_lights", "cache_programs", "decided_instances", "decided_layers", "direct_candidates", "direct_shadow",
      "direct_shade", "direct_shapes", "probe_interpolate", "reproject", "probe_blend", "probe_gather", "probe_light",

@@ -62,6 +62,8 @@ class LeanPrograms:
     """Whether any surface has a thin film"""
     exact: bool = False
     """Whether any material has an exact program (MaterialData.exact)"""
+    hair: bool = False
+    """Whether any has one for hair that scatters light (MaterialData.hair)"""
 
 
 def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:

@@ -15,6 +15,7 @@ from ..kernels.types import (
     MATERIAL_EMISSION,
     MATERIAL_EXACT,
     MATERIAL_FLAT_SHIFT,
+    MATERIAL_HAIR,
     MATERIAL_LEAN,
     MATERIAL_LEAN_FLAT,
     MATERIAL_LEAN_TRANSPARENCY,
@@ -154,10 +155,9 @@ class MaterialTable:
         self.uses_camera = world is not None and world.uses_camera
         self._programs = {}
         for row, (key, data) in enumerate(everything.items()):
-            if data.exact is not None:
-                exact = data.exact
-                table.note_exact(table.add_code(exact.surface, exact, table.add_tables(exact)))
-                self.uses_camera |= exact.uses_camera
+            twins = data.exact, data.hair
+            table.note_twins([each and table.add_code(each.surface, each, table.add_tables(each)) for each in twins])
+            self.uses_camera |= any(each is not None and each.uses_camera for each in twins)
             base = table.add_tables(data.program)
             records[row]["surface_start"] = table.add_code(data.program.surface, data.program, base)
             # Next to it: the distance is stored.
@@ -196,7 +196,7 @@ class MaterialTable:
             *(all(each & bit for each in flags)
               for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)),
             films=any(has_film(program) for program in programs),
-            exact=any(each & MATERIAL_EXACT for each in flags))
+            exact=any(each & MATERIAL_EXACT for each in flags), hair=any(each & MATERIAL_HAIR for each in flags))
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
@@ -255,7 +255,9 @@ def material_flags(data: MaterialData) -> int:
     flags |= subsurface_flags(data.program)
     if data.exact is not None:
         flags |= MATERIAL_EXACT | (MATERIAL_LOOKS if looks_within(data.exact) else 0)
-    else:
+    if data.hair is not None:
+        flags |= MATERIAL_HAIR
+    if data.exact is None and data.hair is None:
         flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
         flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
@@ -330,9 +332,10 @@ class _Table:
         self.code.append(END)
         return start
 
-    def note_exact(self, start: int) -> None:
-        """Write where the exact program is that was just added: into the end before the surface program that comes."""
-        self.code[-1] = (codes.OP_END, start, 0, 0)
+    def note_twins(self, starts: list[int | None]) -> None:
+        """Write where the exact program is that was just added, and hair's: into the end before the surface program."""
+        if any(start is not None for start in starts):
+            self.code[-1] = (codes.OP_END, *(start or 0 for start in starts), 0)
 
     def add_flat(self, program: Program, base: int) -> int:
         """Append a flat program after the surface program just added; return how far, 0 where they are the same."""

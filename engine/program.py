@@ -13,7 +13,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
-from .closure_arguments import ARGUMENTS, closure_code, slot_count
+from .closure_arguments import ARGUMENTS, HAIR_ARGUMENTS, closure_code, slot_count
 from .program_fold import fold
 from .program_layout import Instruction, RegisterOverflow, Sink, Value, ancestors, flat_sinks, lay_out
 
@@ -318,17 +318,17 @@ class ProgramBuilder:
 
     def closure(self, kind: str, weight, *, multiscatter: bool = False, subsurface_method: str = "",
                 **arguments) -> None:
-        """Add a BSDF (names of kernels.types.CLOSURE_*) with its arguments by the names in ARGUMENTS.
+        """Add a BSDF (names of kernels.types.CLOSURE_*) with its arguments by the names in ARGUMENTS (HAIR_ARGUMENTS).
 
         `subsurface_method` (names of codes.SUBSURFACE_*) goes with the arguments that begin like it.
         """
         weight = self.constant(weight)
         if scalar(weight) == 0.0:
             return
-        film = "film_thickness" in arguments
+        film = "film_thickness" in arguments or kind == "HAIR"
         slots: list[Value] = [self.constant(0.0)] * slot_count(kind, subsurface_method, film=film)
         for name, value in {"weight": weight, **arguments}.items():
-            slots[ARGUMENTS[name]] = self.constant(value)
+            slots[HAIR_ARGUMENTS[name] if name in HAIR_ARGUMENTS else ARGUMENTS[name]] = self.constant(value)
         sub = closure_code(kind, multiscatter, subsurface_method, film=film)
         self.sinks.append(Sink(codes.OP_CLOSURE, sub, tuple(v.index for v in slots), "s"))
 

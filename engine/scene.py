@@ -147,6 +147,8 @@ class MaterialData:
     """The whole surface: registers of its closures"""
     exact: Program | None = None
     """What the path tracer and the camera's view run instead where they draw more than the others: with rays"""
+    hair: Program | None = None
+    """What the path tracer runs instead of both where hair scatters light: closures of the kind HAIR"""
     pass_index: int = 0
     has_transparency: bool = False
     """May let light through unrefracted (Transparent BSDF, alpha below 1)"""

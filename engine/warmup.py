@@ -74,6 +74,7 @@ from ..kernels import (
     lobe_moments,
     materials,
     materials_exact,
+    materials_hair,
     media_march,
     media_scatter,
     media_shadows,
@@ -98,6 +99,7 @@ from ..kernels import (
     raster_resolve,
     reference,
     reference_film,
+    reference_hair,
     reference_lean,
     reference_plain,
     reference_subsurface,
@@ -167,7 +169,7 @@ KERNEL_MODULES = (
     reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean,
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
     subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
-    reference_subsurface, first_hits, media_march, media_scatter, media_shadows,
+    reference_subsurface, reference_hair, materials_hair, first_hits, media_march, media_scatter, media_shadows,
     reflection_media, volume_bake, volume_march, volume_scatter, volume_shadows,
 )
 """Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""

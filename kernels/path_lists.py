@@ -32,7 +32,9 @@ LAYERED_EXITS = wp.constant(9)
 """Those whose shadow rays a triangle that needs a test stands in the way of"""
 SCATTERED = wp.constant(10)
 """Paths that a medium has scattered"""
-LIST_COUNT = wp.constant(11)
+OTHER_HITS = wp.constant(11)
+"""Hits that shade_hair_paths leaves, in scenes with hair that scatters light"""
+LIST_COUNT = wp.constant(12)
 
 
 @wp.kernel

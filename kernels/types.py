@@ -43,6 +43,8 @@ CLOSURE_TRANSLUCENT = wp.constant(6)
 CLOSURE_SHEEN = wp.constant(7)
 CLOSURE_TOON_DIFFUSE = wp.constant(8)
 CLOSURE_TOON_GLOSSY = wp.constant(9)
+CLOSURE_HAIR = wp.constant(10)
+"""Of the path tracer's own programs alone (hair_lobes.py)"""
 
 # Light.kind
 LIGHT_POINT = wp.constant(0)
@@ -79,6 +81,8 @@ MATERIAL_EXACT = wp.constant(512)
 """Has a program of its own for the camera's view and the path tracer: the end before its surface program says where"""
 MATERIAL_LOOKS = wp.constant(1024)
 """That program sends rays within the object (node_rays.py)"""
+MATERIAL_HAIR = wp.constant(2048)
+"""Has a program of its own for the path tracer, where hair scatters light: the same end says where"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 

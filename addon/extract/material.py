@@ -122,8 +122,10 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
             functools.partial(make_graph, layer=layer), inlined.node_tree, output, images, report, owner)
         data.bare = bool(data.medium) and graph.source(output, "Surface") is None
         data.program = graph.builder.finish()
-        if graph.wants_exact:
-            data.exact = extract_exact(material, inlined.node_tree, output, images, report, owner, layer, hair)
+        twin = functools.partial(
+            extract_twin, material, inlined.node_tree, output, images, report, owner, layer=layer, hair=hair)
+        data.exact = twin() if graph.wants_exact else None
+        data.hair = twin(scatters=True) if graph.wants_hair else None
     except (RegisterOverflow, RecursionError) as error:
         report.add(ReportKind.ERROR, owner, f"has a node tree that is too large ({error}); drawn in its viewport color")
         graph.builder = ProgramBuilder()
@@ -136,16 +138,16 @@ def extract_material(material: bpy.types.Material, images, report: Report, aovs:
     return data
 
 
-def extract_exact(material: bpy.types.Material, tree, output, images, report: Report, owner: str,
-                  layer: Layer, hair: bool) -> Program | None:
-    """Compile a surface with all that its nodes can do; None where that is too large."""
+def extract_twin(material: bpy.types.Material, tree, output, images, report: Report, owner: str,
+                 **options) -> Program | None:
+    """Compile a surface with all that its nodes can do, by options of a Graph; None where that is too large."""
     said = Report()
-    graph = make_graph(tree, images, said, owner, layer=layer, exact=True, hair=hair)
+    graph = make_graph(tree, images, said, owner, exact=True, **options)
     try:
         compile_surface(graph, material, output)
         program = graph.builder.finish()
     except (RegisterOverflow, RecursionError) as error:
-        report.add(ReportKind.APPROXIMATED, owner, f"has too many nodes to send rays as well ({error})")
+        report.add(ReportKind.APPROXIMATED, owner, f"has too many nodes to be drawn exactly ({error})")
         return None
     for entry, count in said.counts.items():
         # What the other program has said is not said again.

@@ -50,7 +50,7 @@ class Graph:
 
     def __init__(self, tree, builder: ProgramBuilder, images, report: Report, owner: str, *, world: bool = False,
                  lamp: bool = False, layer: Callable[[str], tuple[float, ...]] = no_property,
-                 exact: bool = False, hair: bool = False):
+                 exact: bool = False, hair: bool = False, scatters: bool = False):
         """Index the links of `tree`.
 
         Args:
@@ -64,6 +64,7 @@ class Graph:
             layer: Returns a property of the view layer.
             exact: Whether it is for MaterialData.exact, where nodes may send rays.
             hair: Whether hair has the material.
+            scatters: Whether it is for MaterialData.hair, where hair scatters light.
         """
         self.builder = builder
         self.images = images
@@ -74,8 +75,11 @@ class Graph:
         self.layer = layer
         self.exact = exact
         self.hair = hair
+        self.scatters = scatters
         self.wants_exact = False
         """Whether an exact program would say more than this one"""
+        self.wants_hair = False
+        """Whether hair scatters light"""
         self.tree = tree
         self.normal: Value = builder.constant(0.0)
         """Normal of shaders without one: 0 is the shading normal"""

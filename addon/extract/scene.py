@@ -377,7 +377,7 @@ def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
 def _attributes_of(data: MaterialData) -> list[str]:
     """Return what any program of a material reads."""
     media = data.medium.programs if data.medium is not None else ()
-    programs = filter(None, (data.program, data.exact, *data.aovs.values(), *media))
+    programs = filter(None, (data.program, data.exact, data.hair, *data.aovs.values(), *media))
     return [name for program in programs for name in program.attributes]
 
 

@@ -38,7 +38,7 @@ from ...kernels.volume_grids import Volumes
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
 from ..structures import is_flat
-from .material_steps import evaluate_step
+from .material_steps import evaluate_step, hair_steps
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_catcher import ShadowCatchers
@@ -178,8 +178,8 @@ class ReferencePass:
         self.lock = threading.Lock()
         self.media: Media | None = None
         """Those of the scene that render() is given; None without any"""
-        self.exact = False
-        """Whether that scene has exact programs"""
+        self.exact = self.hair = False
+        """Whether that scene has exact programs, and hair that scatters light"""
         self.volumes: Volumes | None = None
         """What of them varies in space"""
 
@@ -220,7 +220,8 @@ class ReferencePass:
         """Take in what paths keep beside their states, or meet beside surfaces."""
         media = source.media
         self.media, self.volumes = (media.struct, media.volumes) if media is not None else (None, None)
-        self.exact = source.material_table.lean.exact
+        lean = source.material_table.lean
+        self.exact, self.hair = lean.exact, lean.hair
 
     def note_scene(self) -> None:
         """Take in that the scene has changed."""
@@ -249,7 +250,7 @@ class ReferencePass:
             if self.catchers is not None:
                 slot.catching = self.catchers.make_paths(self.capacity)
         fit_media(slot, self.media, self.volumes)
-        slot.exact = self.exact
+        slot.exact, slot.hair = self.exact, self.hair
         return slot
 
     def give_slot(self, slot: Wavefront) -> None:
@@ -380,12 +381,13 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
     if not options.all_plain:
-        steps.append(evaluate_step(slot, scene, "full_hits"))
+        hair, over = hair_steps(slot, shading)
+        steps += [evaluate_step(slot, scene, "full_hits"), *hair]
         if options.subsurface == 1:
-            steps.append(below_step(shading))
+            steps.append(below_step(shading, over))
         else:
             shade = reference_film.shade_film_paths if options.films else reference.shade_paths
-            steps.append(Step(shade, shading, over="full_hits", fills=("next",)))
+            steps.append(Step(shade, shading, over, fills=("next",)))
     if media:
         steps.append(media.scatter_step(shading, slot.rounds))
     if options.passes == 1:

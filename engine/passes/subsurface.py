@@ -16,9 +16,12 @@ from .wavefront import Step, Wavefront
 __all__ = ["below_step", "exit_steps"]
 
 
-def below_step(shading: list) -> Step:
-    """Return what shades hits and lists the paths that go below the surface; `shading`: as of reference.path_steps."""
-    return Step(reference_subsurface.shade_scattering_paths, shading, over="full_hits", fills=("next", "below"))
+def below_step(shading: list, over: str) -> Step:
+    """Return what shades a list's hits and lists the paths that go below the surface.
+
+    `shading`: as of reference.path_steps.
+    """
+    return Step(reference_subsurface.shade_scattering_paths, shading, over, fills=("next", "below"))
 
 
 def exit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:

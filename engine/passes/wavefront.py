@@ -28,7 +28,7 @@ __all__ = ["Step", "Wavefront", "make_paths"]
 LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
          "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS,
          "below": path_lists.BELOW, "exits": path_lists.EXITS, "layered_exits": path_lists.LAYERED_EXITS,
-         "scattered": path_lists.SCATTERED}
+         "scattered": path_lists.SCATTERED, "other_hits": path_lists.OTHER_HITS}
 """Beside "living", the list of each round"""
 
 PROCESSOR_THREADS = 1
@@ -86,6 +86,8 @@ class Wavefront:
         """What is kept of the media that they are in (media.py); None in scenes without any"""
         self.exact = False
         """Whether the scene has exact programs (MaterialData.exact)"""
+        self.hair = False
+        """Whether it has hair that scatters light (MaterialData.hair)"""
         self.catching: Any = None
         """The same for shadow catchers (shadow_catcher.py)"""
         self.frame = wp.zeros(1, dtype=FrameData, device=device)
