@@ -55,6 +55,8 @@ DEBUG_VIEWS: dict[str, str] = {
     "composite.indirect": "Indirect light with the surfaces' colours",
     "composite.reflection": "Indirect light that the surfaces reflect, with their colours",
     "composite.history": "Frames averaged by anti-aliasing: dark where it started anew",
+    "depth_of_field.radius": "Circles of confusion of a camera with depth of field: white is in focus, red in front of "
+    "it, blue behind; darkest where 64 of 1080 lines wide",
     "fog.light": "Light that fog adds before each pixel's surface",
     "fog.passing": "Share of light that fog lets through between each pixel's surface and the camera",
     "rest.weight": "Share of the finest detail that comes from path-traced samples, once the picture has been at rest "

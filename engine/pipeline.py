@@ -29,6 +29,7 @@ from .motion import MotionTracker
 from .passes.absent import note_absent
 from .passes.cache_spreading import LightPhase, light_phase
 from .passes.composite import CompositePass
+from .passes.depth_of_field import DepthOfFieldPass, has_blur
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
 from .passes.direct_light import DirectLightPass, has_lights
@@ -74,6 +75,7 @@ class Pipeline:
         self._picture: wp.array | None = None
         self._split_for = None
         self._debug: tuple | None = None
+        self._blurred = False
 
     def configure(self, settings: RenderSettings, width: int, height: int, light_passes: bool) -> None:
         """Make the passes for settings and a size [px]."""
@@ -93,9 +95,10 @@ class Pipeline:
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
         self.fog = FogPass(device)
+        self.depth_of_field = DepthOfFieldPass(device)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
                        self.reflections, self.refraction, self.gather, self.rest_gather, self.composite, self.fog)
-        self.passes += (self.reflection_denoise, self.refraction_denoise)
+        self.passes += (self.reflection_denoise, self.refraction_denoise, self.depth_of_field)
         self._size, self._ready, self._recorded = (width, height), [], []
         self._black: DirectLight | None = None
         self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
@@ -145,6 +148,7 @@ class Pipeline:
         """
         motion = self.motion.advance(scene)
         self._update_split(scene)
+        self._blurred = self._settings.denoiser.depth_of_field and has_blur(views.row["camera"])
         recorded_for = self._fingerprint(scene, motion)
         if recorded_for != self._recorded_for:
             self._graphs, self._recorded_for = {}, recorded_for
@@ -197,7 +201,7 @@ class Pipeline:
         """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
         facts = (scene.structures.has_filtered, shines_plainly(scene.scene, scene.emitters), scene.has_hit_programs,
                  scene.world_texels.ptr, scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
-                 scene.material_table.lean, scene.material_table.reflectors)
+                 scene.material_table.lean, scene.material_table.reflectors, self._blurred)
         structs = [scene.scene, motion, self.split]
         structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
         fog = scene.media and scene.media.fog
@@ -380,6 +384,12 @@ class Pipeline:
                 self.reflections.options if self.reflections in traced else None, gathered, mirrors,
                 keeping_matte=bool(traced),
                 veil=None if fog is None else lambda color: self.fog.record_picture(graph, parity, color))
+        if self._blurred:
+            self._prepare(self.depth_of_field)
+            with graph.section("Depth of field"):
+                picture = self.depth_of_field.record(graph, views, surfaces.depth, *self.composite.newest(parity))
+        else:
+            graph.skip("depth of field", "all is in focus, or it is switched off")
         if self._debug is not None:
             owner, name = self._debug
             with graph.section("Debug view"):

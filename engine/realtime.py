@@ -196,10 +196,12 @@ class Realtime:
 
     def light_pass(self, name: str) -> wp.array:
         """Return one of LIGHT_PASSES as the newest picture has it: vec3 [h * w], exposed."""
-        light = self.pipeline.light_pass(name)
-        if name.endswith(" Color") or self._newest_blend() is None:
+        light, blend = self.pipeline.light_pass(name), self._newest_blend()
+        sharp = self.pipeline.composite.accumulated.current(self.views.parity).color
+        shown = self.pipeline.picture if blend is None else blend
+        if name.endswith(" Color") or shown is sharp:
             return light
-        return self._blend.scale_light(self.pipeline.picture, light)
+        return self._blend.scale_light(sharp, shown, light)
 
     def _newest_blend(self) -> wp.array | None:
         """Return frames and samples as one picture, made once after each step; None without samples."""

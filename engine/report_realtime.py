@@ -127,7 +127,9 @@ def realtime_approximations(
         report.add(ReportKind.APPROXIMATED, "",
                    f"emission that is not sampled as light lights objects that it is not linked to{until}",
                    facts.linked_unsampled)
-    if aperture_radius > 0.0:
+    if aperture_radius > 0.0 and settings.denoiser.depth_of_field:
+        report.add(ReportKind.APPROXIMATED, "", f"depth of field blurs what a pinhole shows{until}")
+    elif aperture_radius > 0.0:
         report.add(ReportKind.APPROXIMATED, "", f"depth of field is not drawn{until}")
     return report
 

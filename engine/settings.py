@@ -17,8 +17,7 @@ __all__ = [
     "CacheKey", "CacheSettings", "Change", "DebugSettings", "DenoiserSettings", "Device", "DirectLightSettings",
     "FilmSettings", "Integrator", "PixelFilter", "Preset", "ProbeSettings", "ReflectionResolution",
     "ReflectionSettings", "RenderSettings", "SamplingSettings", "LightPathSettings", "PerformanceSettings",
-    "change_since", "setting_info",
-]
+    "change_since", "setting_info"]
 
 
 class Integrator(enum.StrEnum):
@@ -131,8 +130,7 @@ class SamplingSettings:
         32, "Most moments that a final render with motion blur averages: fast motion shows as many pictures side by "
         "side where there are few. Each costs an evaluation of the scene, and of what moves the update", low=1,
         high=1024, soft_high=256)
-    seed: int = setting(0, "Seed of the random numbers: the same seed gives the same picture", low=0,
-                        high=(1 << 31) - 1)
+    seed: int = setting(0, "Seed of the random numbers: the same seed gives the same picture", low=0, high=2**31 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -342,6 +340,9 @@ class DenoiserSettings:
         "off; the paper: 1): less keeps up with changes and flickers more", low=0.0, high=16.0)
     antialiasing: bool = setting(
         True, "Average jittered frames: smooth edges for little time. Off shows each frame alone")
+    depth_of_field: bool = setting(
+        True, "Blur what is out of focus in each frame where the camera has depth of field, for little time. Off: "
+        "path-traced samples alone have it")
     rest_frames: int = setting(
         64, "Frames at rest after which all time goes into path-traced samples, from the eighth on half of it (0: "
         "at once): they put right what frames get wrong. More frames are smoother for a while and exact later",

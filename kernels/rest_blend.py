@@ -333,7 +333,7 @@ def scale_light(
     # Out:
     light_out: wp.array[wp.vec3],
 ):
-    """Scale a lobe's light of F by what the picture has become, so that the passes still make it up."""
+    """Scale a lobe's light of `picture` by what that has become, so that the passes still make it up."""
     pixel = first + wp.tid()
     c = light[pixel]
     for k in range(3):

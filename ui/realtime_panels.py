@@ -138,6 +138,7 @@ class BURNISH_RENDER_PT_denoiser(RealtimePanel, Panel):
         column.prop(denoiser, "diffuse_history", text="History")
         layout.prop(denoiser, "rest_gather", text="Gather at Rest")
         layout.prop(denoiser, "antialiasing", text="Anti-Aliasing")
+        layout.prop(denoiser, "depth_of_field", text="Depth of Field")
 
 
 class BURNISH_RENDER_PT_denoiser_reflections(RealtimePanel, Panel):

@@ -64,6 +64,7 @@ class CompositePass:
         self.lobes = tuple(sorted({name.partition(" ")[0] for name in light_passes}))
         """Whose light passes are kept: keys of PASS_LOBES"""
         self.width = self.height = 0
+        self._seen: wp.array | None = None
         self._inputs: dict[int, tuple] = {}
         """What compose() was recorded with for each parity: debug views read the same"""
 
@@ -147,7 +148,7 @@ class CompositePass:
         for lobe, sums in self._sums.items():
             graph.launch(
                 composite.accumulate_light_passes, count, [views, gbuffer, lights, int(PASS_LOBES[lobe])], [sums])
-        seen = color if veil is None else veil(color)
+        self._seen = seen = color if veil is None else veil(color)
         accumulated, before = self.accumulated.current(parity), self.accumulated.previous(parity)
         graph.launch(
             antialias.antialias, count,
@@ -155,6 +156,10 @@ class CompositePass:
              mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color
+
+    def newest(self, parity: int) -> tuple[wp.array, Accumulation]:
+        """Return the frame recorded last, vec4h [h * w] before anti-aliasing, and what that makes of it."""
+        return self._seen, self.accumulated.current(parity)
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` of this frame into `picture` (vec4 [h * w]); comes after record()."""

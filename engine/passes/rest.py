@@ -104,10 +104,16 @@ class RestBlend:
                [self._picture], self.device)
         return self._picture
 
-    def scale_light(self, f_picture: wp.array, light: wp.array) -> wp.array:
-        """Return a lobe's direct or indirect light, vec3 [h * w], as the newest picture has it instead of F."""
+    def scale_light(self, sharp: wp.array, shown: wp.array, light: wp.array) -> wp.array:
+        """Return a lobe's direct or indirect light, vec3 [h * w], as a picture that is shown has it.
+
+        Args:
+            sharp: vec4 [h * w], what real-time frames have averaged, of which the light is a part.
+            shown: vec4 [h * w], blurred by a lens or blended with path-traced samples.
+            light: vec3 [h * w].
+        """
         scaled = wp.empty_like(light)
-        launch(rest_blend.scale_light, len(light), [0, f_picture, self._picture, light], [scaled], self.device)
+        launch(rest_blend.scale_light, len(light), [0, sharp, shown, light], [scaled], self.device)
         return scaled
 
     def show_weight(self) -> wp.array:

@@ -193,7 +193,8 @@ def test_what_a_scene_lacks_has_no_buffers():
     assert [each.width for each in idle] == [0] * len(idle)
     assert pipeline.gbuffer.width == SIZE[0] and pipeline.gather.width == SIZE[0]
     pipeline = open_session(room(glass(0.0)))._realtime.pipeline
-    assert all(each.width == SIZE[0] for each in pipeline.passes if each is not pipeline.fog)
+    assert all(each.width == SIZE[0] for each in pipeline.passes
+               if each not in (pipeline.fog, pipeline.depth_of_field))
     assert pipeline.fog.width == 0
 
 

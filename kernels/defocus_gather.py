@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Wide blur at half resolution: each texel gathers the light of those whose disks it lies in (scatter as gather).
+
+A disk of r texels shows a texel's light by 1 / its area at each place (Jimenez 2014). All texels within the radius
+are gathered, once each, at the level of detail where it is SEARCH at most: points of light become even disks, whatever
+their size. Rows end where the circle does.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .defocus import (
+    COARSE_FROM,
+    SEARCH,
+    TILE_LEVEL,
+    Pyramid,
+    disk_area,
+    edge_share,
+    level_columns,
+    level_rows,
+    level_start,
+    spread_distance,
+    wide_share,
+)
+from .defocus_layers import pack_spread
+from .packed_halves import pack_halves, unpack_halves, unpack_pair
+from .wide_loads import load_uint, load_word
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+# Variance of what comes on top of a disk, in squares of a texel of the level: that a texel is the mean over its square
+# (1/12) and that a disk's edge is soft (5/48), each times 4; and in texels of level 0, the interpolation at full
+# resolution (1/6, times 4).
+LEVEL_SPREAD = wp.constant(0.75)
+UPSCALE_SPREAD = wp.constant(0.6667)
+
+# Light is in front of a texel's where its radius is below a half of the texel's, and with it from this share on.
+IN_FRONT = wp.constant(0.5)
+TOGETHER = wp.constant(0.8)
+
+
+@wp.func
+def search_level(radius: float, levels: int) -> int:
+    """Return the level at which a radius [px] is SEARCH texels at most."""
+    level = int(0)
+    texels = 0.5 * radius
+    while texels > SEARCH and level < levels:
+        texels = 0.5 * texels
+        level += 1
+    return level
+
+
+@wp.func
+def own_radius(radius: float, scale: float, upscaled: float) -> float:
+    """Return a disk's radius in texels of a level without what the level spreads by itself.
+
+    `scale` is how many texels are a pixel, `upscaled` 1 where the result is interpolated and else 0.
+    """
+    r = radius * scale
+    return wp.sqrt(wp.max(r * r - LEVEL_SPREAD - upscaled * UPSCALE_SPREAD * 4.0 * scale * scale, 0.25))
+
+
+@wp.func
+def gather_disks(
+    lens: wp.array[float], pyramid: Pyramid, px: float, py: float, radius: float, level: int, upscaled: float,
+) -> wp.vec4:
+    """Return the light behind the focus that arrives at a place [px] where what is seen is blurred by a radius [px].
+
+    Light from further behind is hidden by what is seen there but for where that is blurred away: it counts within
+    the same radius. Light from in front is over it. Negative where there is none.
+    """
+    # Texels of the level in a pixel.
+    scale = 0.5 / float(1 << level)
+    start = level_start(pyramid, level)
+    columns = level_columns(pyramid, level)
+    rows = level_rows(pyramid, level)
+    x = px * scale - 0.5
+    y = py * scale - 0.5
+    across = own_radius(radius, scale, upscaled) + 0.5
+    front = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    front_weight = float(0.0)
+    with_it = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    weight = float(0.0)
+    for j in range(wp.max(int(wp.ceil(y - across)), 0), wp.min(int(wp.floor(y + across)), rows - 1) + 1):
+        dy = float(j) - y
+        half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
+        for i in range(wp.max(int(wp.ceil(x - half)), 0), wp.min(int(wp.floor(x + half)), columns - 1) + 1):
+            place = start + j * columns + i
+            s = unpack_pair(load_uint(pyramid.behind_spread, place))
+            share = wide_share(s[0])
+            if share * s[1] > 0.0:
+                r = own_radius(wp.min(s[0], radius), scale, upscaled)
+                w = share * edge_share(r, spread_distance(lens, x - float(i), -dy)) / disk_area(lens, r)
+                if w > 0.0:
+                    before = wp.clamp((TOGETHER - s[0] / radius) / (TOGETHER - IN_FRONT), 0.0, 1.0)
+                    c = unpack_halves(load_word(pyramid.behind, place))
+                    front += (w * before) * c
+                    front_weight += w * before * s[1]
+                    with_it += (w * (1.0 - before)) * c
+                    weight += w * (1.0 - before) * s[1]
+    result = wp.vec4(-1.0, 0.0, 0.0, 0.0)
+    if front_weight > 1.0:
+        front = front / front_weight
+        front_weight = 1.0
+    if weight > 0.0:
+        result = front + with_it * ((1.0 - front_weight) / weight)
+    elif front_weight > 0.0:
+        result = front / front_weight
+    return result
+
+
+@wp.kernel
+def gather_behind(
+    first: int,
+    # In:
+    lens: wp.array[float],
+    pyramid: Pyramid,
+    # Out:
+    blurred_out: wp.array[wp.uint64],
+):
+    """Blur what is far behind the focus; black where that is not what the texel shows."""
+    texel = first + wp.tid()
+    own = unpack_pair(load_uint(pyramid.behind_spread, texel))
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if own[0] > COARSE_FROM and own[1] > 0.0:
+        result = gather_disks(
+            lens, pyramid, float(texel % pyramid.columns * 2 + 1), float(texel // pyramid.columns * 2 + 1), own[0],
+            search_level(own[0], pyramid.levels), 1.0)
+        if result[0] < 0.0:
+            result = unpack_halves(load_word(pyramid.behind, texel)) / own[1]
+    blurred_out[texel] = pack_halves(result)
+
+
+@wp.kernel
+def gather_near(
+    first: int,
+    # In:
+    lens: wp.array[float],
+    pyramid: Pyramid,
+    tiles: wp.array[wp.vec2],
+    # Out:
+    near_out: wp.array[wp.uint64],
+    cover_out: wp.array[wp.uint32],
+    filled_out: wp.array[wp.uint64],
+):
+    """Blur what is in front of the focus: its light, the share that it covers, and what may be behind it.
+
+    The latter is the mean of what is seen around, the nearest by far the most; where nothing is in reach, the light in
+    front itself. Beyond the picture's edge what is in front goes on.
+    """
+    texel = first + wp.tid()
+    x0 = texel % pyramid.columns
+    y0 = texel // pyramid.columns
+    tile = (y0 >> TILE_LEVEL) * level_columns(pyramid, TILE_LEVEL) + (x0 >> TILE_LEVEL)
+    radius = tiles[tile][0]
+    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    cover = float(0.0)
+    filled = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    has_fill = float(0.0)
+    if radius > 0.0:
+        filling = unpack_pair(load_uint(pyramid.near_spread, texel))[1] > 0.0
+        level = search_level(radius, pyramid.levels)
+        scale = 0.5 / float(1 << level)
+        start = level_start(pyramid, level)
+        columns = level_columns(pyramid, level)
+        rows = level_rows(pyramid, level)
+        x = (float(x0) + 0.5) * 2.0 * scale - 0.5
+        y = (float(y0) + 0.5) * 2.0 * scale - 0.5
+        across = wp.max(own_radius(radius, scale, 1.0), 1.0) + 0.5
+        fill_weight = float(0.0)
+        for j in range(int(wp.ceil(y - across)), int(wp.floor(y + across)) + 1):
+            dy = float(j) - y
+            half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
+            row = start + wp.clamp(j, 0, rows - 1) * columns
+            for i in range(int(wp.ceil(x - half)), int(wp.floor(x + half)) + 1):
+                place = row + wp.clamp(i, 0, columns - 1)
+                dx = float(i) - x
+                s = unpack_pair(load_uint(pyramid.near_spread, place))
+                if s[1] > 0.0:
+                    r = own_radius(s[0], scale, 1.0)
+                    w = edge_share(r, spread_distance(lens, dx, dy)) / disk_area(lens, r)
+                    if w > 0.0:
+                        near += w * unpack_halves(load_word(pyramid.near, place))
+                        cover += w * s[1]
+                if filling:
+                    share = unpack_pair(load_uint(pyramid.behind_spread, place))[1]
+                    if share > 0.0:
+                        square = dx * dx + dy * dy + 0.25
+                        w = 1.0 / (square * square)
+                        filled += w * unpack_halves(load_word(pyramid.behind, place))
+                        fill_weight += w * share
+        if cover > 1.0:
+            near = near / cover
+            cover = 1.0
+        if filling:
+            has_fill = 1.0
+            if fill_weight > 0.0:
+                filled = filled / fill_weight
+            else:
+                filled = near / wp.max(cover, 1.0e-6)
+    near_out[texel] = pack_halves(near)
+    cover_out[texel] = pack_spread(cover, has_fill)
+    filled_out[texel] = pack_halves(filled)

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The picture at half resolution in two layers, its levels of detail, and how far blur in front of the focus reaches.
+
+What is far in front of the focus is kept apart from all else, since it blurs over anything (Jimenez, "Next Generation
+Post Processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014). Colours are weighed by the share of a texel that
+their layer covers, so that no light is lost or made. Where a texel holds what is blurred little beside what is blurred
+much, its mean would be spread far: the former is left out.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .defocus import (
+    TILE_LEVEL,
+    WIDE_FROM,
+    WIDE_TO,
+    Pyramid,
+    circle_radius,
+    level_columns,
+    level_rows,
+    level_start,
+    wide_share,
+)
+from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
+from .packing import HALF_MAX
+from .view import View
+from .wide_loads import load_float, load_vec4
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+# Share of the largest radius in a texel that another one needs to be fully counted there.
+LIKE_RADIUS = wp.constant(0.3)
+
+# Exposed radiance that parts of a texel count as having beside their own in the mean of their radii.
+LEAST_LIGHT = wp.constant(1.0e-3)
+
+
+@wp.func
+def pack_spread(radius: float, share: float) -> wp.uint32:
+    """Pack a radius and a share as two half-floats."""
+    return half_bits(radius) | (half_bits(share) << wp.uint32(16))
+
+
+@wp.func
+def like_weight(radius: float, largest: float) -> float:
+    """Return the weight of a part of a texel by how nearly it is blurred as its most blurred part is."""
+    w = wp.min((radius + 1.0) / (LIKE_RADIUS * largest + 1.0), 1.0)
+    return w * w
+
+
+@wp.func
+def add_spread(spread: wp.vec3, color: wp.vec4, radius: float, share: float) -> wp.vec3:
+    """Add a part of a texel, its color weighed by its share, to sums of weighed radii, their weights and shares.
+
+    The mean radius is that of the light: a bulb before the night sky is as wide as it is by itself.
+    """
+    w = wp.max(color[0], 0.0) + wp.max(color[1], 0.0) + wp.max(color[2], 0.0) + LEAST_LIGHT * share
+    return spread + wp.vec3(w * radius, w, share)
+
+
+@wp.func
+def pack_mean_spread(spread: wp.vec3) -> wp.uint32:
+    """Pack the mean radius and the share of add_spread's sums."""
+    return pack_spread(spread[0] / wp.max(spread[1], 1.0e-20), spread[2])
+
+
+@wp.func
+def shown_color(view: View, mean: wp.array[wp.vec4], current: wp.array[wp.uint64], pixel: int) -> wp.vec4:
+    """Return the colour that a frame blurs: at rest its own, which is of the very points that its depth is of."""
+    c = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if view.rest > 0:
+        c = unpack_halves(current[pixel])
+    else:
+        c = load_vec4(mean, pixel)
+    if not wp.isfinite(c[0] + c[1] + c[2] + c[3]):
+        c = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    return wp.vec4(wp.min(c[0], HALF_MAX), wp.min(c[1], HALF_MAX), wp.min(c[2], HALF_MAX), c[3])
+
+
+@wp.kernel
+def split_layers(
+    first: int,
+    # In:
+    views: wp.array[View],
+    lens: wp.array[float],
+    mean: wp.array[wp.vec4],
+    current: wp.array[wp.uint64],
+    depth: wp.array[float],
+    # Out:
+    pyramid_out: Pyramid,
+):
+    """Write level 0: 80 bytes read (or 48) and 32 written a texel of 2 x 2 pixels."""
+    texel = first + wp.tid()
+    x = texel % pyramid_out.columns * 2
+    y = texel // pyramid_out.columns * 2
+    view = views[0]
+    largest_near = float(0.0)
+    largest_behind = float(0.0)
+    reach = wp.vec2(0.0, 0.0)
+    for k in range(4):
+        px = x + k % 2
+        py = y + k // 2
+        if px < pyramid_out.width and py < pyramid_out.height:
+            r = circle_radius(lens, load_float(depth, py * pyramid_out.width + px), pyramid_out.largest)
+            if r < -WIDE_FROM:
+                largest_near = wp.max(largest_near, -r)
+            largest_behind = wp.max(largest_behind, r)
+            if wp.abs(r) < WIDE_TO:
+                reach[1] = wp.max(reach[1], wp.abs(r))
+    reach[0] = largest_near
+    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    behind = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    near_spread = wp.vec3(0.0, 0.0, 0.0)
+    behind_spread = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(4):
+        px = x + k % 2
+        py = y + k // 2
+        if px < pyramid_out.width and py < pyramid_out.height:
+            pixel = py * pyramid_out.width + px
+            r = circle_radius(lens, load_float(depth, pixel), pyramid_out.largest)
+            share = float(0.0)
+            if r < 0.0:
+                share = wide_share(r)
+            c = shown_color(view, mean, current, pixel)
+            w = 0.25 * share * like_weight(-r, largest_near)
+            near += w * c
+            near_spread = add_spread(near_spread, w * c, -r, w)
+            w = 0.25 * (1.0 - share) * like_weight(wp.max(r, 0.0), largest_behind)
+            behind += w * c
+            behind_spread = add_spread(behind_spread, w * c, wp.max(r, 0.0), w)
+    pyramid_out.near[texel] = pack_halves(near)
+    pyramid_out.near_spread[texel] = pack_mean_spread(near_spread)
+    pyramid_out.behind[texel] = pack_halves(behind)
+    pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
+    pyramid_out.reach[texel] = reach
+
+
+@wp.kernel
+def coarsen_layers(
+    first: int,
+    # In:
+    level: int,
+    # Out:
+    pyramid_out: Pyramid,
+):
+    """Write a level from the one before it."""
+    index = first + wp.tid()
+    columns = level_columns(pyramid_out, level)
+    finer_columns = level_columns(pyramid_out, level - 1)
+    finer_rows = level_rows(pyramid_out, level - 1)
+    finer = level_start(pyramid_out, level - 1)
+    x = index % columns * 2
+    y = index // columns * 2
+    largest_near = float(0.0)
+    largest_behind = float(0.0)
+    reach = wp.vec2(0.0, 0.0)
+    for k in range(4):
+        if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
+            child = finer + (y + k // 2) * finer_columns + x + k % 2
+            largest_near = wp.max(largest_near, unpack_pair(pyramid_out.near_spread[child])[0])
+            largest_behind = wp.max(largest_behind, unpack_pair(pyramid_out.behind_spread[child])[0])
+            r = pyramid_out.reach[child]
+            reach = wp.vec2(wp.max(reach[0], r[0]), wp.max(reach[1], r[1]))
+    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    behind = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    near_spread = wp.vec3(0.0, 0.0, 0.0)
+    behind_spread = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(4):
+        if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
+            child = finer + (y + k // 2) * finer_columns + x + k % 2
+            s = unpack_pair(pyramid_out.near_spread[child])
+            w = 0.25 * like_weight(s[0], largest_near)
+            c = w * unpack_halves(pyramid_out.near[child])
+            near += c
+            near_spread = add_spread(near_spread, c, s[0], w * s[1])
+            s = unpack_pair(pyramid_out.behind_spread[child])
+            w = 0.25 * like_weight(s[0], largest_behind)
+            c = w * unpack_halves(pyramid_out.behind[child])
+            behind += c
+            behind_spread = add_spread(behind_spread, c, s[0], w * s[1])
+    texel = level_start(pyramid_out, level) + index
+    pyramid_out.near[texel] = pack_halves(near)
+    pyramid_out.near_spread[texel] = pack_mean_spread(near_spread)
+    pyramid_out.behind[texel] = pack_halves(behind)
+    pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
+    pyramid_out.reach[texel] = reach
+
+
+@wp.func
+def gap(low: int, side: int, other: int, other_side: int) -> int:
+    """Return the distance between two stretches, given by their lower ends and lengths; 0 where they meet."""
+    return wp.max(wp.max(other - (low + side), low - (other + other_side)), 0)
+
+
+@wp.kernel
+def find_reach(
+    first: int,
+    # In:
+    pyramid: Pyramid,
+    # Out:
+    tiles_out: wp.array[wp.vec2],
+):
+    """Write for each tile how far to look for what is in front of the focus, at half and at full resolution [px].
+
+    A texel of level i is 2^(i + 1) pixels wide. Radii up to that are found in a tile's 3 x 3 surroundings at this
+    level, larger ones at coarser levels, all that are left at the last.
+    """
+    tile = first + wp.tid()
+    columns = level_columns(pyramid, TILE_LEVEL)
+    x = tile % columns
+    y = tile // columns
+    side = 2 << TILE_LEVEL
+    found = wp.vec2(0.0, 0.0)
+    for level in range(TILE_LEVEL, pyramid.levels + 1):
+        start = level_start(pyramid, level)
+        across = level_columns(pyramid, level)
+        last = level_rows(pyramid, level) - 1
+        wide = 2 << level
+        shift = level - TILE_LEVEL
+        x0 = wp.max((x >> shift) - 1, 0)
+        x1 = wp.min((x >> shift) + 1, across - 1)
+        y0 = wp.max((y >> shift) - 1, 0)
+        y1 = wp.min((y >> shift) + 1, last)
+        if level == pyramid.levels:
+            x0 = 0
+            x1 = across - 1
+            y0 = 0
+            y1 = last
+        for j in range(y0, y1 + 1):
+            for i in range(x0, x1 + 1):
+                r = pyramid.reach[start + j * across + i]
+                dx = float(gap(x * side, side, i * wide, wide))
+                dy = float(gap(y * side, side, j * wide, wide))
+                # Edges are soft by up to two samples.
+                if r[0] > found[0] and wp.sqrt(dx * dx + dy * dy) < 1.25 * r[0] + 2.0:
+                    found[0] = r[0]
+                if level == TILE_LEVEL and wp.abs(i - x) <= 1 and wp.abs(j - y) <= 1:
+                    found[1] = wp.max(found[1], r[1])
+    tiles_out[tile] = found
