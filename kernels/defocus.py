@@ -31,8 +31,8 @@ LENS_AREA = wp.constant(515)
 LENS_WORDS = wp.constant(516)
 
 # Radii [px] from which on blur goes over from full to half resolution, and where it has.
-WIDE_FROM = wp.constant(2.0)
-WIDE_TO = wp.constant(3.0)
+WIDE_FROM = wp.constant(2.5)
+WIDE_TO = wp.constant(3.5)
 
 # Radius [px] up to which blur is none: at full resolution the edge of a disk is as soft.
 SHARP = wp.constant(0.6455)

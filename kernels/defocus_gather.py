@@ -15,6 +15,7 @@ from .defocus import (
     SEARCH,
     TILE_LEVEL,
     Pyramid,
+    circle_radius,
     disk_area,
     edge_share,
     level_columns,
@@ -25,7 +26,7 @@ from .defocus import (
 )
 from .defocus_layers import pack_spread
 from .packed_halves import pack_halves, unpack_halves, unpack_pair
-from .wide_loads import load_uint, load_word
+from .wide_loads import load_float, load_uint, load_word
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -115,21 +116,96 @@ def gather_behind(
     first: int,
     # In:
     lens: wp.array[float],
+    depth: wp.array[float],
     pyramid: Pyramid,
     # Out:
     blurred_out: wp.array[wp.uint64],
+    radius_out: wp.array[float],
 ):
-    """Blur what is far behind the focus; black where that is not what the texel shows."""
+    """Blur what is far behind the focus, by the widest of a texel's pixels, whose radius [px] is written; 0: nothing.
+
+    The texel's mean radius may be that of a bulb before them.
+    """
     texel = first + wp.tid()
-    own = unpack_pair(load_uint(pyramid.behind_spread, texel))
+    x = texel % pyramid.columns * 2
+    y = texel // pyramid.columns * 2
+    radius = float(0.0)
+    for k in range(4):
+        if x + k % 2 < pyramid.width and y + k // 2 < pyramid.height:
+            d = load_float(depth, (y + k // 2) * pyramid.width + x + k % 2)
+            radius = wp.max(radius, circle_radius(lens, d, pyramid.largest))
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if own[0] > COARSE_FROM and own[1] > 0.0:
+    if radius > COARSE_FROM:
         result = gather_disks(
-            lens, pyramid, float(texel % pyramid.columns * 2 + 1), float(texel // pyramid.columns * 2 + 1), own[0],
-            search_level(own[0], pyramid.levels), 1.0)
+            lens, pyramid, float(x + 1), float(y + 1), radius, search_level(radius, pyramid.levels), 1.0)
         if result[0] < 0.0:
-            result = unpack_halves(load_word(pyramid.behind, texel)) / own[1]
+            radius = 0.0
+    else:
+        radius = 0.0
     blurred_out[texel] = pack_halves(result)
+    radius_out[texel] = radius
+
+
+@wp.struct
+class Front:
+    """What is far in front of the focus at a place, and what may be behind it."""
+
+    near: wp.vec4
+    """Its light, times the share that it covers"""
+    cover: float
+    filled: wp.vec4
+    """Mean of what is seen around, the nearest by far the most; where nothing is in reach, the light in front itself"""
+
+
+@wp.func
+def gather_front(
+    lens: wp.array[float], pyramid: Pyramid, px: float, py: float, radius: float, level: int, upscaled: float,
+    filling: bool,
+) -> Front:
+    """Return the light in front of the focus that arrives at a place [px] from within a radius [px].
+
+    `filling`: whether `filled` is wanted. Beyond the picture's edge what is in front goes on.
+    """
+    scale = 0.5 / float(1 << level)
+    start = level_start(pyramid, level)
+    columns = level_columns(pyramid, level)
+    rows = level_rows(pyramid, level)
+    x = px * scale - 0.5
+    y = py * scale - 0.5
+    across = wp.max(own_radius(radius, scale, upscaled), 1.0) + 0.5
+    f = Front()
+    f.near = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    f.filled = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    fill_weight = float(0.0)
+    for j in range(int(wp.ceil(y - across)), int(wp.floor(y + across)) + 1):
+        dy = float(j) - y
+        half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
+        row = start + wp.clamp(j, 0, rows - 1) * columns
+        for i in range(int(wp.ceil(x - half)), int(wp.floor(x + half)) + 1):
+            place = row + wp.clamp(i, 0, columns - 1)
+            dx = float(i) - x
+            s = unpack_pair(load_uint(pyramid.near_spread, place))
+            if s[1] > 0.0:
+                r = own_radius(s[0], scale, upscaled)
+                w = edge_share(r, spread_distance(lens, dx, dy)) / disk_area(lens, r)
+                if w > 0.0:
+                    f.near += w * unpack_halves(load_word(pyramid.near, place))
+                    f.cover += w * s[1]
+            if filling:
+                share = unpack_pair(load_uint(pyramid.behind_spread, place))[1]
+                if share > 0.0:
+                    square = dx * dx + dy * dy + 0.25
+                    w = 1.0 / (square * square)
+                    f.filled += w * unpack_halves(load_word(pyramid.behind, place))
+                    fill_weight += w * share
+    if f.cover > 1.0:
+        f.near = f.near / f.cover
+        f.cover = 1.0
+    if fill_weight > 0.0:
+        f.filled = f.filled / fill_weight
+    else:
+        f.filled = f.near / wp.max(f.cover, 1.0e-6)
+    return f
 
 
 @wp.kernel
@@ -144,61 +220,19 @@ def gather_near(
     cover_out: wp.array[wp.uint32],
     filled_out: wp.array[wp.uint64],
 ):
-    """Blur what is in front of the focus: its light, the share that it covers, and what may be behind it.
-
-    The latter is the mean of what is seen around, the nearest by far the most; where nothing is in reach, the light in
-    front itself. Beyond the picture's edge what is in front goes on.
-    """
+    """Blur what is far in front of the focus; nothing where pixels do so themselves."""
     texel = first + wp.tid()
-    x0 = texel % pyramid.columns
-    y0 = texel // pyramid.columns
-    tile = (y0 >> TILE_LEVEL) * level_columns(pyramid, TILE_LEVEL) + (x0 >> TILE_LEVEL)
-    radius = tiles[tile][0]
-    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    cover = float(0.0)
-    filled = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    x = texel % pyramid.columns
+    y = texel // pyramid.columns
+    radius = tiles[(y >> TILE_LEVEL) * level_columns(pyramid, TILE_LEVEL) + (x >> TILE_LEVEL)][0]
+    f = Front()
     has_fill = float(0.0)
-    if radius > 0.0:
+    if radius > COARSE_FROM:
         filling = unpack_pair(load_uint(pyramid.near_spread, texel))[1] > 0.0
-        level = search_level(radius, pyramid.levels)
-        scale = 0.5 / float(1 << level)
-        start = level_start(pyramid, level)
-        columns = level_columns(pyramid, level)
-        rows = level_rows(pyramid, level)
-        x = (float(x0) + 0.5) * 2.0 * scale - 0.5
-        y = (float(y0) + 0.5) * 2.0 * scale - 0.5
-        across = wp.max(own_radius(radius, scale, 1.0), 1.0) + 0.5
-        fill_weight = float(0.0)
-        for j in range(int(wp.ceil(y - across)), int(wp.floor(y + across)) + 1):
-            dy = float(j) - y
-            half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
-            row = start + wp.clamp(j, 0, rows - 1) * columns
-            for i in range(int(wp.ceil(x - half)), int(wp.floor(x + half)) + 1):
-                place = row + wp.clamp(i, 0, columns - 1)
-                dx = float(i) - x
-                s = unpack_pair(load_uint(pyramid.near_spread, place))
-                if s[1] > 0.0:
-                    r = own_radius(s[0], scale, 1.0)
-                    w = edge_share(r, spread_distance(lens, dx, dy)) / disk_area(lens, r)
-                    if w > 0.0:
-                        near += w * unpack_halves(load_word(pyramid.near, place))
-                        cover += w * s[1]
-                if filling:
-                    share = unpack_pair(load_uint(pyramid.behind_spread, place))[1]
-                    if share > 0.0:
-                        square = dx * dx + dy * dy + 0.25
-                        w = 1.0 / (square * square)
-                        filled += w * unpack_halves(load_word(pyramid.behind, place))
-                        fill_weight += w * share
-        if cover > 1.0:
-            near = near / cover
-            cover = 1.0
-        if filling:
-            has_fill = 1.0
-            if fill_weight > 0.0:
-                filled = filled / fill_weight
-            else:
-                filled = near / wp.max(cover, 1.0e-6)
-    near_out[texel] = pack_halves(near)
-    cover_out[texel] = pack_spread(cover, has_fill)
-    filled_out[texel] = pack_halves(filled)
+        f = gather_front(
+            lens, pyramid, float(2 * x + 1), float(2 * y + 1), radius, search_level(radius, pyramid.levels), 1.0,
+            filling)
+        has_fill = wp.where(filling, 1.0, 0.0)
+    near_out[texel] = pack_halves(f.near)
+    cover_out[texel] = pack_spread(f.cover, has_fill)
+    filled_out[texel] = pack_halves(f.filled)

@@ -24,7 +24,7 @@ from .defocus import (
     spread_distance,
     wide_share,
 )
-from .defocus_gather import gather_disks
+from .defocus_gather import Front, gather_disks, gather_front
 from .defocus_layers import shown_color
 from .packed_halves import unpack_halves, unpack_pair
 from .packing import rgba
@@ -38,11 +38,14 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 EDGE_SPREAD = wp.constant(0.41667)
 
 # Difference of two radii [px] from which light is in front of a pixel's, and where it is so entirely.
-FRONT_FROM = wp.constant(0.25)
-FRONT_TO = wp.constant(1.25)
+FRONT_FROM = wp.constant(0.1)
+FRONT_TO = wp.constant(0.6)
 
 # What a texel of level 0 counts whose radius differs: (1 + (difference / (LIKE * radius + 0.5))^2)^-2.
 LIKE = wp.constant(0.25)
+
+# What a texel of four weighs at least: it may be the only one that has what is wanted.
+LEAST_WEIGHT = wp.constant(1.0e-4)
 
 
 @wp.struct
@@ -50,6 +53,7 @@ class Blurred:
     """What is blurred at half resolution, one entry a texel of level 0; see defocus_gather.py."""
 
     behind: wp.array[wp.uint64]
+    radius: wp.array[float]
     near: wp.array[wp.uint64]
     cover: wp.array[wp.uint32]
     filled: wp.array[wp.uint64]
@@ -96,7 +100,7 @@ def gather_slight(
     s.own = wp.vec4(0.0, 0.0, 0.0, 0.0)
     s.front = wp.vec4(0.0, 0.0, 0.0, 0.0)
     n = int(slight_radius(wp.min(reach, WIDE_TO)) + 0.5)
-    own_share = wp.abs(radius) < WIDE_TO
+    wide = wide_share(radius)
     for j in range(wp.max(y - n, 0), wp.min(y + n, pyramid.height - 1) + 1):
         for i in range(wp.max(x - n, 0), wp.min(x + n, pyramid.width - 1) + 1):
             q = j * pyramid.width + i
@@ -109,7 +113,9 @@ def gather_slight(
                 size = wp.min(size, wp.abs(radius))
             else:
                 share = 1.0 - wide_share(r)
-            if share > 0.0 and (own_share or before > 0.0):
+                # What the pixel is itself comes from half resolution.
+                before += wide * (1.0 - before)
+            if share > 0.0 and (wide < 1.0 or before > 0.0):
                 size = slight_radius(size)
                 dx = float(x - i)
                 dy = float(y - j)
@@ -145,44 +151,66 @@ def corner_texel(corner: Corner, pyramid: Pyramid, k: int) -> int:
 
 
 @wp.func
-def wide_color(pyramid: Pyramid, blurred: Blurred, corner: Corner, radius: float, color: wp.vec4) -> wp.vec4:
-    """Return the wide blur of a pixel's own light from texels that are blurred as it is, in front what fills it.
+def light_behind(
+    lens: wp.array[float], pyramid: Pyramid, blurred: Blurred, corner: Corner, x: int, y: int, radius: float,
+    color: wp.vec4,
+) -> wp.vec4:
+    """Return the wide blur of a pixel behind the focus; `color` stands in where there is none.
 
-    `color` stands in where there are none.
+    Of what half resolution has blurred, texels count that are blurred as the pixel is.
     """
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    weights = float(1.0e-6)
-    for k in range(4):
-        texel = corner_texel(corner, pyramid, k)
-        w = corner_weight(corner, k) + 1.0e-4
-        if radius < 0.0:
-            if unpack_pair(load_uint(blurred.cover, texel))[1] > 0.0:
-                total += w * unpack_halves(load_word(blurred.filled, texel))
-                weights += w
-        else:
-            s = unpack_pair(load_uint(pyramid.behind_spread, texel))
-            if s[1] > 0.0 and s[0] > COARSE_FROM:
-                d = (s[0] - radius) / (LIKE * radius + 0.5)
+    result = color
+    if radius > COARSE_FROM:
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        weights = float(0.0)
+        for k in range(4):
+            texel = corner_texel(corner, pyramid, k)
+            found = load_float(blurred.radius, texel)
+            if found > 0.0:
+                d = (found - radius) / (LIKE * radius + 0.5)
                 like = 1.0 / (1.0 + d * d)
-                w *= s[1] * like * like
+                w = (corner_weight(corner, k) + LEAST_WEIGHT) * like * like
                 total += w * unpack_halves(load_word(blurred.behind, texel))
                 weights += w
-    if weights < 2.0e-6:
-        return color
-    return total / (weights - 1.0e-6)
+        if weights > 0.0:
+            result = total / weights
+    if radius < COARSE_TO:
+        fine = gather_disks(lens, pyramid, float(x) + 0.5, float(y) + 0.5, radius, 0, 0.0)
+        if fine[0] >= 0.0:
+            result = wp.lerp(fine, result, wp.max(radius - COARSE_FROM, 0.0) / (COARSE_TO - COARSE_FROM))
+    return result
 
 
 @wp.func
-def lay_near(pyramid: Pyramid, blurred: Blurred, corner: Corner, behind: wp.vec4) -> wp.vec4:
-    """Lay what is far in front of the focus over the rest."""
-    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    cover = float(0.0)
-    for k in range(4):
-        texel = corner_texel(corner, pyramid, k)
-        w = corner_weight(corner, k)
-        near += w * unpack_halves(load_word(blurred.near, texel))
-        cover += w * unpack_pair(load_uint(blurred.cover, texel))[0]
-    return near + (1.0 - wp.min(cover, 1.0)) * behind
+def light_in_front(
+    lens: wp.array[float], pyramid: Pyramid, blurred: Blurred, corner: Corner, x: int, y: int, reach: float,
+    filling: bool, color: wp.vec4,
+) -> Front:
+    """Return what is far in front of the focus, from within a reach [px]; `color` fills where nothing else does."""
+    f = Front()
+    if reach > COARSE_FROM:
+        fills = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        weights = float(0.0)
+        for k in range(4):
+            texel = corner_texel(corner, pyramid, k)
+            w = corner_weight(corner, k)
+            cover = unpack_pair(load_uint(blurred.cover, texel))
+            f.near += w * unpack_halves(load_word(blurred.near, texel))
+            f.cover += w * cover[0]
+            if filling and cover[1] > 0.0:
+                fills += (w + LEAST_WEIGHT) * unpack_halves(load_word(blurred.filled, texel))
+                weights += w + LEAST_WEIGHT
+        f.filled = color
+        if weights > 0.0:
+            f.filled = fills / weights
+    if reach < COARSE_TO:
+        fine = gather_front(lens, pyramid, float(x) + 0.5, float(y) + 0.5, reach, 0, 0.0, filling)
+        share = wp.max(reach - COARSE_FROM, 0.0) / (COARSE_TO - COARSE_FROM)
+        f.near = wp.lerp(fine.near, f.near, share)
+        f.cover = wp.lerp(fine.cover, f.cover, share)
+        f.filled = wp.lerp(fine.filled, f.filled, share)
+    f.cover = wp.min(f.cover, 1.0)
+    return f
 
 
 @wp.kernel
@@ -225,19 +253,19 @@ def blur_frame(
         slight = gather_slight(view, lens, mean, current, depth, pyramid, x, y, radius, tile[1])
         if slight.weight > 0.0:
             result = slight.own / slight.weight
+    front = Front()
+    if tile[0] > 0.0:
+        front = light_in_front(
+            lens, pyramid, blurred, corner, x, y, tile[0], share > 0.0 and radius < 0.0, color)
     if share > 0.0:
-        wide = color
-        if radius < 0.0 or radius > COARSE_FROM:
-            wide = wide_color(pyramid, blurred, corner, radius, color)
-        if radius > 0.0 and radius < COARSE_TO:
-            fine = gather_disks(lens, pyramid, float(x) + 0.5, float(y) + 0.5, radius, 0, 0.0)
-            if fine[0] >= 0.0:
-                wide = fine + wp.max(radius - COARSE_FROM, 0.0) / (COARSE_TO - COARSE_FROM) * (wide - fine)
+        wide = front.filled
+        if radius > 0.0:
+            wide = light_behind(lens, pyramid, blurred, corner, x, y, radius, color)
         result += share * (wide - result)
     if slight.cover > 0.0:
         result = slight.front + (1.0 - slight.cover) * result
     if tile[0] > 0.0:
-        result = lay_near(pyramid, blurred, corner, result)
+        result = front.near + (1.0 - front.cover) * result
     if view.rest > 0:
         before = picture_out[pixel]
         result = before + (result - before) / float(samples[pixel])

@@ -68,6 +68,7 @@ class DepthOfFieldPass:
         blurred = Blurred()
         blurred.behind, blurred.near, blurred.filled = (
             wp.zeros(texels, dtype=wp.uint64, device=device) for _ in range(3))
+        blurred.radius = wp.zeros(texels, dtype=float, device=device)
         blurred.cover = wp.zeros(texels, dtype=wp.uint32, device=device)
         blurred.tiles = wp.zeros(self._sizes[int(defocus.TILE_LEVEL)], dtype=wp.vec2, device=device)
         self._pyramid, self._blurred = p, blurred
@@ -101,7 +102,8 @@ class DepthOfFieldPass:
         for level in range(1, p.levels + 1):
             graph.launch(defocus_layers.coarsen_layers, self._sizes[level], [level], [p])
         graph.launch(defocus_layers.find_reach, len(blurred.tiles), [p], [blurred.tiles])
-        graph.launch(defocus_gather.gather_behind, self._sizes[0], [lens, p], [blurred.behind])
+        graph.launch(
+            defocus_gather.gather_behind, self._sizes[0], [lens, depth, p], [blurred.behind, blurred.radius])
         graph.launch(
             defocus_gather.gather_near, self._sizes[0], [lens, p, blurred.tiles],
             [blurred.near, blurred.cover, blurred.filled])

@@ -94,7 +94,7 @@ def test_points_of_light_become_disks(depth, tolerance):
     radius = 12.0 * abs(1.0 - 1.0 / depth)
     assert light == pytest.approx(1000.0, rel=tolerance)
     # A disk's mean square way along an axis is r^2 / 4; the picture at half resolution shifts it by half a pixel.
-    assert 2.0 * np.sqrt(0.5 * (right + up) - 0.25) == pytest.approx(radius, rel=0.04, abs=0.35)
+    assert 2.0 * np.sqrt(0.5 * (right + up) - 0.25) == pytest.approx(radius, rel=0.04, abs=0.45)
 
 
 def test_disks_have_the_shape_of_the_lens():
