@@ -14,6 +14,7 @@ from .defocus import (
     COARSE_FROM,
     SEARCH,
     TILE_LEVEL,
+    WIDE_FROM,
     Pyramid,
     circle_radius,
     disk_area,
@@ -177,6 +178,7 @@ def gather_front(
     f.near = wp.vec4(0.0, 0.0, 0.0, 0.0)
     f.filled = wp.vec4(0.0, 0.0, 0.0, 0.0)
     fill_weight = float(0.0)
+    fill_radius = float(0.0)
     for j in range(int(wp.ceil(y - across)), int(wp.floor(y + across)) + 1):
         dy = float(j) - y
         half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
@@ -192,17 +194,25 @@ def gather_front(
                     f.near += w * unpack_halves(load_word(pyramid.near, place))
                     f.cover += w * s[1]
             if filling:
-                share = unpack_pair(load_uint(pyramid.behind_spread, place))[1]
-                if share > 0.0:
+                s = unpack_pair(load_uint(pyramid.behind_spread, place))
+                if s[1] > 0.0:
                     square = dx * dx + dy * dy + 0.25
                     w = 1.0 / (square * square)
                     f.filled += w * unpack_halves(load_word(pyramid.behind, place))
-                    fill_weight += w * share
+                    fill_weight += w * s[1]
+                    fill_radius += w * s[1] * s[0]
     if f.cover > 1.0:
         f.near = f.near / f.cover
         f.cover = 1.0
     if fill_weight > 0.0:
         f.filled = f.filled / fill_weight
+        # What is far behind the focus is as blurred there as beside it.
+        fill_radius = fill_radius / fill_weight
+        if fill_radius > WIDE_FROM:
+            disks = gather_disks(
+                lens, pyramid, px, py, fill_radius, search_level(fill_radius, pyramid.levels), upscaled)
+            if disks[0] >= 0.0:
+                f.filled = wp.lerp(f.filled, disks, wide_share(fill_radius))
     else:
         f.filled = f.near / wp.max(f.cover, 1.0e-6)
     return f

@@ -188,9 +188,9 @@ def coarsen_layers(
 
 
 @wp.func
-def gap(low: int, side: int, other: int, other_side: int) -> int:
+def gap(low: int, side: int, other: int, other_side: int) -> float:
     """Return the distance between two stretches, given by their lower ends and lengths; 0 where they meet."""
-    return wp.max(wp.max(other - (low + side), low - (other + other_side)), 0)
+    return float(wp.max(wp.max(other - (low + side), low - (other + other_side)), 0))
 
 
 @wp.kernel
@@ -203,8 +203,8 @@ def find_reach(
 ):
     """Write for each tile how far to look for what is in front of the focus, at half and at full resolution [px].
 
-    A texel of level i is 2^(i + 1) pixels wide. Radii up to that are found in a tile's 3 x 3 surroundings at this
-    level, larger ones at coarser levels, all that are left at the last.
+    A texel of level i is 2^(i + 1) pixels wide, and so large are radii at most that are looked for in a tile's 3 x 3
+    surroundings at this level; larger ones are found at coarser levels.
     """
     tile = first + wp.tid()
     columns = level_columns(pyramid, TILE_LEVEL)
@@ -212,29 +212,23 @@ def find_reach(
     y = tile // columns
     side = 2 << TILE_LEVEL
     found = wp.vec2(0.0, 0.0)
+    start = level_start(pyramid, TILE_LEVEL)
     for level in range(TILE_LEVEL, pyramid.levels + 1):
-        start = level_start(pyramid, level)
         across = level_columns(pyramid, level)
-        last = level_rows(pyramid, level) - 1
+        rows = level_rows(pyramid, level)
         wide = 2 << level
         shift = level - TILE_LEVEL
-        x0 = wp.max((x >> shift) - 1, 0)
-        x1 = wp.min((x >> shift) + 1, across - 1)
-        y0 = wp.max((y >> shift) - 1, 0)
-        y1 = wp.min((y >> shift) + 1, last)
-        if level == pyramid.levels:
-            x0 = 0
-            x1 = across - 1
-            y0 = 0
-            y1 = last
-        for j in range(y0, y1 + 1):
-            for i in range(x0, x1 + 1):
+        for k in range(9):
+            i = (x >> shift) + k % 3 - 1
+            j = (y >> shift) + k // 3 - 1
+            if i >= 0 and j >= 0 and i < across and j < rows:
                 r = pyramid.reach[start + j * across + i]
-                dx = float(gap(x * side, side, i * wide, wide))
-                dy = float(gap(y * side, side, j * wide, wide))
+                dx = gap(x * side, side, i * wide, wide)
+                dy = gap(y * side, side, j * wide, wide)
                 # Edges are soft by up to two samples.
                 if r[0] > found[0] and wp.sqrt(dx * dx + dy * dy) < 1.25 * r[0] + 2.0:
                     found[0] = r[0]
-                if level == TILE_LEVEL and wp.abs(i - x) <= 1 and wp.abs(j - y) <= 1:
+                if level == TILE_LEVEL:
                     found[1] = wp.max(found[1], r[1])
+        start += across * rows
     tiles_out[tile] = found

@@ -18,8 +18,8 @@ from ..frame_graph import FrameGraph
 
 __all__ = ["DepthOfFieldPass", "has_blur"]
 
-MOST_LEVELS = 6
-"""Of detail, beside half resolution: disks of up to 1,024 pixels"""
+MOST_LEVELS = 8
+"""Of detail, beside half resolution: disks of a radius of up to 512 pixels"""
 
 WHITE = 32.0
 """Radius [px] that the debug view shows darkest, in a picture of 1080 lines"""
@@ -57,9 +57,10 @@ class DepthOfFieldPass:
         p.width, p.height = width, height
         p.columns, p.rows = -(-width // 2), -(-height // 2)
         p.levels = int(defocus.TILE_LEVEL)
-        while p.levels < MOST_LEVELS and int(defocus.SEARCH) << p.levels < max(p.columns, p.rows):
+        while p.levels < MOST_LEVELS and 2 << p.levels < max(width, height):
             p.levels += 1
-        p.largest = float(2 * (int(defocus.SEARCH) << p.levels))
+        # As wide as a texel of the coarsest level: a tile looks no further than at the next one (find_reach).
+        p.largest = float(2 << p.levels)
         self._sizes = [-(-p.columns // (1 << level)) * -(-p.rows // (1 << level)) for level in range(p.levels + 1)]
         count, texels = sum(self._sizes), self._sizes[0]
         p.near, p.behind = (wp.zeros(count, dtype=wp.uint64, device=device) for _ in range(2))

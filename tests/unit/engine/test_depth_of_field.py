@@ -9,8 +9,11 @@ import warp as wp
 from burnish.engine.frame_data import frame_row
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.image_error import flip
+from burnish.engine.passes.composite import LIGHT_PASSES
 from burnish.engine.passes.depth_of_field import DepthOfFieldPass, has_blur
 from burnish.engine.scene import CameraKind
+from burnish.engine.session import Session
+from burnish.engine.settings import DenoiserSettings, Integrator
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels.antialias import Accumulation
 from burnish.kernels.defocus import LENS_AREA, LENS_NEAR
@@ -285,6 +288,25 @@ def test_the_debug_view_shows_circles():
     front, back = picture[0].mean(0), picture[-1].mean(0)
     assert front[0] > 2.0 * front[2] and back[2] > 2.0 * back[0]
     assert picture[..., :3].min(-1).max() > 0.8
+
+
+@pytest.mark.parametrize("resting", [False, True])
+def test_light_passes_make_up_the_blurred_picture(resting):
+    """Let (direct + indirect) * color of all lobes be Combined within noise, of frames and with path-traced samples."""
+    size = (48, 27)
+    delta, view = defocus_scenes.behind_a_ball(size)
+    settings = replace(scenes.SETTINGS, sampling=replace(scenes.SETTINGS.sampling, integrator=Integrator.REALTIME),
+                       denoiser=DenoiserSettings(path_traced_rest=resting))
+    session = Session(settings)
+    session.update(delta)
+    session.configure(settings, replace(view, aperture_radius=0.2), *size, passes=("Combined", *LIGHT_PASSES))
+    session.step(24)
+    light = sum((session.read(f"{lobe} Direct") + session.read(f"{lobe} Indirect")) * session.read(f"{lobe} Color")
+                for lobe in ("Diffuse", "Glossy", "Transmission"))
+    shown = session.read()[..., :3]
+    sharp = session.pipeline.composite.accumulated.current(1).color.numpy().reshape(*shown.shape[:2], 4)[..., :3]
+    blur = np.abs(sharp - shown).mean()
+    assert blur > 0.03 and np.abs(light - shown).mean() < 0.2 * blur and np.median(np.abs(light - shown)) < 2e-3
 
 
 @pytest.mark.parametrize("name", list(defocus_scenes.SCENES))
