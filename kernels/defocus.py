@@ -23,23 +23,27 @@ DIRECTIONS = wp.constant(512)
 QUARTER = wp.constant(128.0)
 
 # What follows them: radius = LENS_NEAR + LENS_SLOPE * depth, or / depth where LENS_FLAT is 0; the shape's share of the
-# circle around it.
+# circle around it; how many times as long as it is a way may be by the shape's measure.
 LENS_NEAR = wp.constant(512)
 LENS_SLOPE = wp.constant(513)
 LENS_FLAT = wp.constant(514)
 LENS_AREA = wp.constant(515)
-LENS_WORDS = wp.constant(516)
+LENS_LONGEST = wp.constant(516)
+LENS_WORDS = wp.constant(517)
 
 # Radii [px] from which on blur goes over from full to half resolution, and where it has.
 WIDE_FROM = wp.constant(2.5)
 WIDE_TO = wp.constant(3.5)
+
+# Most times as long as it is that a way is by the shape's measure.
+LONGEST = wp.constant(1.0e6)
 
 # Radius [px] up to which blur is none: at full resolution the edge of a disk is as soft.
 SHARP = wp.constant(0.6455)
 
 # Radii [px] up to which a pixel gathers from half resolution itself, and from which its texels have done so.
 COARSE_FROM = wp.constant(6.0)
-COARSE_TO = wp.constant(8.0)
+COARSE_TO = wp.constant(7.0)
 
 # Widest search at half resolution, in texels of the level of detail that is searched.
 SEARCH = wp.constant(8.0)
@@ -117,8 +121,19 @@ def circle_radius(lens: wp.array[float], depth: float, largest: float) -> float:
 
 
 @wp.func
-def spread_distance(lens: wp.array[float], x: float, y: float) -> float:
-    """Return how long a way is by the lens's shape: as long as it is, or longer where the shape is narrower."""
+def disk_share(lens: wp.array[float], radius: float, x: float, y: float) -> float:
+    """Return the share of a sample that lies within a disk of the lens's shape around it, its edge as wide as a sample.
+
+    Args:
+        lens: From describe_lens.
+        radius: In steps between samples.
+        x: From the sample to where its light arrives, in the same.
+        y: The same upwards; both turned round in front of the focus.
+    """
+    distance = wp.sqrt(x * x + y * y)
+    # Most samples of wide disks are far inside, whatever the shape.
+    if distance * lens[LENS_LONGEST] <= radius - 0.5:
+        return 1.0
     # An angle from 0 to 4 without trigonometry.
     t = y / wp.max(wp.abs(x) + wp.abs(y), 1.0e-20)
     angle = t
@@ -127,7 +142,7 @@ def spread_distance(lens: wp.array[float], x: float, y: float) -> float:
     elif y < 0.0:
         angle = 4.0 + t
     index = int(angle * QUARTER) & (DIRECTIONS - 1)
-    return wp.sqrt(x * x + y * y) * lens[index]
+    return wp.clamp(radius + 0.5 - distance * lens[index], 0.0, 1.0)
 
 
 @wp.func
@@ -176,7 +191,7 @@ def describe_lens(
         d = table_direction(index)
         value = shape_distance(frame, wp.vec2(d[0] * ratio * scale / across, d[1] * scale / up))
         # A picture without a width, say: any shape will do where there are no numbers.
-        if not (value >= 1.0e-3 and value < 1.0e6):
+        if not (value >= 1.0e-3 and value < LONGEST):
             value = 1.0
     elif index == LENS_NEAR:
         value = wp.where(frame.orthographic == 1, -scale, scale / frame.focus_distance)
@@ -184,6 +199,14 @@ def describe_lens(
         value = wp.where(frame.orthographic == 1, scale / frame.focus_distance, -scale)
     elif index == LENS_FLAT:
         value = float(frame.orthographic)
+    elif index == LENS_LONGEST:
+        value = wp.max(scale * ratio / wp.abs(across), scale / wp.abs(up))
+        if frame.aperture_blades >= 3:
+            value /= wp.cos(PI / float(frame.aperture_blades))
+        if not (value >= 1.0):
+            value = LONGEST
+        # The table is of directions between those of samples.
+        value *= 1.02
     else:
         value = wp.abs(across) / ratio * wp.abs(up) / (scale * scale)
         if frame.aperture_blades >= 3:
@@ -196,11 +219,5 @@ def describe_lens(
 
 @wp.func
 def disk_area(lens: wp.array[float], radius: float) -> float:
-    """Return the sum of edge_share over a grid of steps of 1, for a radius in those."""
+    """Return the sum of disk_share over a grid of steps of 1, for a radius in those."""
     return wp.max(wp.min(radius + 0.5, 1.0), PI * lens[LENS_AREA] * (radius * radius + 1.0 / 12.0))
-
-
-@wp.func
-def edge_share(radius: float, distance: float) -> float:
-    """Return the share of a sample at a distance that lies within a disk: its edge is as soft as a sample is wide."""
-    return wp.clamp(radius + 0.5 - distance, 0.0, 1.0)

@@ -18,11 +18,10 @@ from .defocus import (
     Pyramid,
     circle_radius,
     disk_area,
-    edge_share,
+    disk_share,
     level_columns,
     level_rows,
     level_start,
-    spread_distance,
     wide_share,
 )
 from .defocus_layers import pack_spread
@@ -93,7 +92,7 @@ def gather_disks(
             share = wide_share(s[0])
             if share * s[1] > 0.0:
                 r = own_radius(wp.min(s[0], radius), scale, upscaled)
-                w = share * edge_share(r, spread_distance(lens, x - float(i), -dy)) / disk_area(lens, r)
+                w = share * disk_share(lens, r, x - float(i), -dy) / disk_area(lens, r)
                 if w > 0.0:
                     before = wp.clamp((TOGETHER - s[0] / radius) / (TOGETHER - IN_FRONT), 0.0, 1.0)
                     c = unpack_halves(load_word(pyramid.behind, place))
@@ -189,7 +188,7 @@ def gather_front(
             s = unpack_pair(load_uint(pyramid.near_spread, place))
             if s[1] > 0.0:
                 r = own_radius(s[0], scale, upscaled)
-                w = edge_share(r, spread_distance(lens, dx, dy)) / disk_area(lens, r)
+                w = disk_share(lens, r, dx, dy) / disk_area(lens, r)
                 if w > 0.0:
                     f.near += w * unpack_halves(load_word(pyramid.near, place))
                     f.cover += w * s[1]

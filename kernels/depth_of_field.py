@@ -19,9 +19,8 @@ from .defocus import (
     Pyramid,
     circle_radius,
     disk_area,
-    edge_share,
+    disk_share,
     level_columns,
-    spread_distance,
     wide_share,
 )
 from .defocus_gather import Front, gather_disks, gather_front
@@ -122,7 +121,7 @@ def gather_slight(
                 if r < 0.0:
                     dx = -dx
                     dy = -dy
-                w = share * edge_share(size, spread_distance(lens, dx, dy)) / disk_area(lens, size)
+                w = share * disk_share(lens, size, dx, dy) / disk_area(lens, size)
                 if w > 0.0:
                     c = shown_color(view, mean, current, q)
                     s.own += (w * (1.0 - before)) * c

@@ -51,7 +51,7 @@ class DepthOfFieldPass:
         self.width = self.height = 0
 
     def resize(self, width: int, height: int) -> None:
-        """Allocate all buffers for a size [px]: 29 bytes a pixel."""
+        """Allocate all buffers for a size [px]: 35 bytes a pixel."""
         self.width, self.height = width, height
         device, p = self.device, Pyramid()
         p.width, p.height = width, height

@@ -98,6 +98,14 @@ def test_each_approximation_is_named_once() -> None:
     assert text.count("until the picture has rested for 12 frames") == 7
 
 
+def test_depth_of_field_follows_its_setting() -> None:
+    """Say that depth of field is a filter of a pinhole's picture, or that it is switched off."""
+    for on, words in ((True, "depth of field blurs what a pinhole shows"), (False, "depth of field is not drawn")):
+        entries = realtime_approximations(
+            realtime(denoiser=DenoiserSettings(depth_of_field=on)), SceneFacts(), 0.01).entries()
+        assert [entry.message.startswith(words) for entry in entries] == [True]
+
+
 def test_media_are_counted() -> None:
     """Count materials with a medium, and apart from them those without a surface and the world."""
     medium = MediumData(extinction=(1.0, 0.0, 0.0))
