@@ -37,10 +37,10 @@ def sample_aperture(frame: FrameData, u: wp.vec2) -> wp.vec2:
     blades = float(frame.aperture_blades)
     scaled = u[0] * blades
     blade = wp.floor(scaled)
-    # Uniform over the triangle between the centre and one side.
+    # Uniform over the triangle between the centre and one side, the first of which rotation turns from the right.
     r = wp.sqrt(scaled - blade)
-    a0 = TWO_PI * blade / blades + frame.aperture_rotation
-    a1 = TWO_PI * (blade + 1.0) / blades + frame.aperture_rotation
+    a0 = TWO_PI * (blade - 0.5) / blades + frame.aperture_rotation
+    a1 = TWO_PI * (blade + 0.5) / blades + frame.aperture_rotation
     x = r * wp.lerp(wp.cos(a0), wp.cos(a1), u[1])
     y = r * wp.lerp(wp.sin(a0), wp.sin(a1), u[1])
     return wp.vec2(x / frame.aperture_ratio, y)
