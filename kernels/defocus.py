@@ -66,6 +66,8 @@ class Pyramid:
     """Its radius behind the focus; 0 in front of it"""
     reach: wp.array[wp.vec2]
     """Largest radius [px] in front of the focus that is blurred at half resolution, and at full resolution"""
+    octaves: wp.array[wp.uint32]
+    """Bit i: something behind the focus has a radius from 2^i to 2^(i + 1) pixels"""
     width: int
     height: int
     """Of the picture [px]"""
@@ -146,6 +148,12 @@ def disk_share(lens: wp.array[float], radius: float, x: float, y: float) -> floa
 
 
 @wp.func
+def octave(radius: float) -> int:
+    """Return the whole part of a radius's logarithm to base 2."""
+    return int(wp.floor(wp.log2(wp.max(radius, 1.0))))
+
+
+@wp.func
 def table_direction(index: int) -> wp.vec2:
     """Return the unit vector in the middle of an entry of the shape's table."""
     a = (float(index) + 0.5) / QUARTER
@@ -166,8 +174,8 @@ def shape_distance(frame: FrameData, d: wp.vec2) -> float:
         return wp.length(d)
     sector = TWO_PI / float(frame.aperture_blades)
     angle = wp.atan2(d[1], d[0]) - frame.aperture_rotation
-    angle -= sector * wp.floor(angle / sector)
-    return wp.length(d) * wp.cos(angle - 0.5 * sector) / wp.cos(0.5 * sector)
+    angle -= sector * wp.floor(angle / sector + 0.5)
+    return wp.length(d) * wp.cos(angle) / wp.cos(0.5 * sector)
 
 
 @wp.kernel

@@ -22,6 +22,7 @@ from .defocus import (
     level_columns,
     level_rows,
     level_start,
+    octave,
     wide_share,
 )
 from .defocus_layers import pack_spread
@@ -62,15 +63,27 @@ def own_radius(radius: float, scale: float, upscaled: float) -> float:
     return wp.sqrt(wp.max(r * r - LEVEL_SPREAD - upscaled * UPSCALE_SPREAD * 4.0 * scale * scale, 0.25))
 
 
-@wp.func
-def gather_disks(
-    lens: wp.array[float], pyramid: Pyramid, px: float, py: float, radius: float, level: int, upscaled: float,
-) -> wp.vec4:
-    """Return the light behind the focus that arrives at a place [px] where what is seen is blurred by a radius [px].
+@wp.struct
+class Disks:
+    """Light behind the focus that arrives at a place."""
 
-    Light from further behind is hidden by what is seen there but for where that is blurred away: it counts within
-    the same radius. Light from in front is over it. Negative where there is none.
-    """
+    front: wp.vec4
+    """From well in front of what is seen there, times the share that it covers"""
+    cover: float
+    with_it: wp.vec4
+    """From as far away, or further"""
+    weight: float
+
+
+@wp.func
+def add_disks(
+    disks: Disks, lens: wp.array[float], pyramid: Pyramid, px: float, py: float, radius: float, low: float,
+    high: float, upscaled: float,
+) -> Disks:
+    """Add what has a radius from `low` to below `high` [px], where what is seen at a place [px] has another one."""
+    d = disks
+    widest = wp.min(radius, high)
+    level = search_level(widest, pyramid.levels)
     # Texels of the level in a pixel.
     scale = 0.5 / float(1 << level)
     start = level_start(pyramid, level)
@@ -78,11 +91,7 @@ def gather_disks(
     rows = level_rows(pyramid, level)
     x = px * scale - 0.5
     y = py * scale - 0.5
-    across = own_radius(radius, scale, upscaled) + 0.5
-    front = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    front_weight = float(0.0)
-    with_it = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    weight = float(0.0)
+    across = own_radius(widest, scale, upscaled) + 0.5
     for j in range(wp.max(int(wp.ceil(y - across)), 0), wp.min(int(wp.floor(y + across)), rows - 1) + 1):
         dy = float(j) - y
         half = wp.sqrt(wp.max(across * across - dy * dy, 0.0))
@@ -90,24 +99,46 @@ def gather_disks(
             place = start + j * columns + i
             s = unpack_pair(load_uint(pyramid.behind_spread, place))
             share = wide_share(s[0])
-            if share * s[1] > 0.0:
+            if share * s[1] > 0.0 and s[0] >= low and s[0] < high:
                 r = own_radius(wp.min(s[0], radius), scale, upscaled)
                 w = share * disk_share(lens, r, x - float(i), -dy) / disk_area(lens, r)
                 if w > 0.0:
                     before = wp.clamp((TOGETHER - s[0] / radius) / (TOGETHER - IN_FRONT), 0.0, 1.0)
                     c = unpack_halves(load_word(pyramid.behind, place))
-                    front += (w * before) * c
-                    front_weight += w * before * s[1]
-                    with_it += (w * (1.0 - before)) * c
-                    weight += w * (1.0 - before) * s[1]
+                    d.front += (w * before) * c
+                    d.cover += w * before * s[1]
+                    d.with_it += (w * (1.0 - before)) * c
+                    d.weight += w * (1.0 - before) * s[1]
+    return d
+
+
+@wp.func
+def gather_disks(
+    lens: wp.array[float], pyramid: Pyramid, px: float, py: float, radius: float, octaves: wp.uint32, upscaled: float,
+) -> wp.vec4:
+    """Return the light behind the focus that arrives at a place [px] where what is seen is blurred by a radius [px].
+
+    Light from further behind is hidden by what is seen there but for where that is blurred away: it counts within
+    the same radius. Light from in front is over it; where its disks are much smaller, and `octaves` has their bits,
+    it is gathered at finer levels. Negative where there is none.
+    """
+    d = Disks()
+    split = octave(TOGETHER * radius)
+    low = float(1 << split)
+    if octaves == wp.uint32(0):
+        low = 0.0
+    d = add_disks(d, lens, pyramid, px, py, radius, low, 1.0e6, upscaled)
+    for i in range(1, split):
+        if (octaves >> wp.uint32(i)) & wp.uint32(1) == wp.uint32(1):
+            d = add_disks(d, lens, pyramid, px, py, radius, float(1 << i), float(2 << i), upscaled)
     result = wp.vec4(-1.0, 0.0, 0.0, 0.0)
-    if front_weight > 1.0:
-        front = front / front_weight
-        front_weight = 1.0
-    if weight > 0.0:
-        result = front + with_it * ((1.0 - front_weight) / weight)
-    elif front_weight > 0.0:
-        result = front / front_weight
+    if d.cover > 1.0:
+        d.front = d.front / d.cover
+        d.cover = 1.0
+    if d.weight > 0.0:
+        result = d.front + d.with_it * ((1.0 - d.cover) / d.weight)
+    elif d.cover > 0.0:
+        result = d.front / d.cover
     return result
 
 
@@ -118,6 +149,7 @@ def gather_behind(
     lens: wp.array[float],
     depth: wp.array[float],
     pyramid: Pyramid,
+    octaves: wp.array[wp.uint32],
     # Out:
     blurred_out: wp.array[wp.uint64],
     radius_out: wp.array[float],
@@ -136,8 +168,8 @@ def gather_behind(
             radius = wp.max(radius, circle_radius(lens, d, pyramid.largest))
     result = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if radius > COARSE_FROM:
-        result = gather_disks(
-            lens, pyramid, float(x + 1), float(y + 1), radius, search_level(radius, pyramid.levels), 1.0)
+        tile = (y >> (TILE_LEVEL + 1)) * level_columns(pyramid, TILE_LEVEL) + (x >> (TILE_LEVEL + 1))
+        result = gather_disks(lens, pyramid, float(x + 1), float(y + 1), radius, octaves[tile], 1.0)
         if result[0] < 0.0:
             radius = 0.0
     else:
@@ -208,8 +240,7 @@ def gather_front(
         # What is far behind the focus is as blurred there as beside it.
         fill_radius = fill_radius / fill_weight
         if fill_radius > WIDE_FROM:
-            disks = gather_disks(
-                lens, pyramid, px, py, fill_radius, search_level(fill_radius, pyramid.levels), upscaled)
+            disks = gather_disks(lens, pyramid, px, py, fill_radius, wp.uint32(0), upscaled)
             if disks[0] >= 0.0:
                 f.filled = wp.lerp(f.filled, disks, wide_share(fill_radius))
     else:

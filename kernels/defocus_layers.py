@@ -20,6 +20,7 @@ from .defocus import (
     level_columns,
     level_rows,
     level_start,
+    octave,
     wide_share,
 )
 from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
@@ -43,10 +44,21 @@ def pack_spread(radius: float, share: float) -> wp.uint32:
 
 
 @wp.func
-def like_weight(radius: float, largest: float) -> float:
-    """Return the weight of a part of a texel by how nearly it is blurred as its most blurred part is."""
+def like_weight(radius: float, light: float, largest: float, largest_light: float) -> float:
+    """Return the weight of a part of a texel by how nearly it is blurred as the most blurred part is.
+
+    What is blurred at half resolution keeps all of it where it is much brighter: the mean radius is its own, then.
+    """
     w = wp.min((radius + 1.0) / (LIKE_RADIUS * largest + 1.0), 1.0)
-    return w * w
+    square = light / (light + largest_light)
+    square *= square
+    return wp.max(w * w, wide_share(radius) * square * square)
+
+
+@wp.func
+def light_of(color: wp.vec4) -> float:
+    """Return a color's brightness, that of the dark not quite 0."""
+    return wp.max(color[0], 0.0) + wp.max(color[1], 0.0) + wp.max(color[2], 0.0) + 1.0e-6
 
 
 @wp.func
@@ -97,15 +109,24 @@ def split_layers(
     view = views[0]
     largest_near = float(0.0)
     largest_behind = float(0.0)
+    light_near = float(0.0)
+    light_behind = float(0.0)
+    octaves = wp.uint32(0)
     reach = wp.vec2(0.0, 0.0)
     for k in range(4):
         px = x + k % 2
         py = y + k // 2
         if px < pyramid_out.width and py < pyramid_out.height:
             r = circle_radius(lens, load_float(depth, py * pyramid_out.width + px), pyramid_out.largest)
-            if r < -WIDE_FROM:
-                largest_near = wp.max(largest_near, -r)
-            largest_behind = wp.max(largest_behind, r)
+            light = light_of(shown_color(view, mean, current, py * pyramid_out.width + px))
+            if r < -WIDE_FROM and -r > largest_near:
+                largest_near = -r
+                light_near = light
+            if r > largest_behind:
+                largest_behind = r
+                light_behind = light
+            if r > WIDE_FROM:
+                octaves = octaves | (wp.uint32(1) << wp.uint32(octave(r)))
             if wp.abs(r) < WIDE_TO:
                 reach[1] = wp.max(reach[1], wp.abs(r))
     reach[0] = largest_near
@@ -123,10 +144,11 @@ def split_layers(
             if r < 0.0:
                 share = wide_share(r)
             c = shown_color(view, mean, current, pixel)
-            w = 0.25 * share * like_weight(-r, largest_near)
+            light = light_of(c)
+            w = 0.25 * share * like_weight(-r, light, largest_near, light_near)
             near += w * c
             near_spread = add_spread(near_spread, w * c, -r, w)
-            w = 0.25 * (1.0 - share) * like_weight(wp.max(r, 0.0), largest_behind)
+            w = 0.25 * (1.0 - share) * like_weight(wp.max(r, 0.0), light, largest_behind, light_behind)
             behind += w * c
             behind_spread = add_spread(behind_spread, w * c, wp.max(r, 0.0), w)
     pyramid_out.near[texel] = pack_halves(near)
@@ -134,6 +156,7 @@ def split_layers(
     pyramid_out.behind[texel] = pack_halves(behind)
     pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
     pyramid_out.reach[texel] = reach
+    pyramid_out.octaves[texel] = octaves
 
 
 @wp.kernel
@@ -154,12 +177,22 @@ def coarsen_layers(
     y = index // columns * 2
     largest_near = float(0.0)
     largest_behind = float(0.0)
+    light_near = float(0.0)
+    light_behind = float(0.0)
+    octaves = wp.uint32(0)
     reach = wp.vec2(0.0, 0.0)
     for k in range(4):
         if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
             child = finer + (y + k // 2) * finer_columns + x + k % 2
-            largest_near = wp.max(largest_near, unpack_pair(pyramid_out.near_spread[child])[0])
-            largest_behind = wp.max(largest_behind, unpack_pair(pyramid_out.behind_spread[child])[0])
+            radius = unpack_pair(pyramid_out.near_spread[child])[0]
+            if radius > largest_near:
+                largest_near = radius
+                light_near = light_of(unpack_halves(pyramid_out.near[child]))
+            radius = unpack_pair(pyramid_out.behind_spread[child])[0]
+            if radius > largest_behind:
+                largest_behind = radius
+                light_behind = light_of(unpack_halves(pyramid_out.behind[child]))
+            octaves = octaves | pyramid_out.octaves[child]
             r = pyramid_out.reach[child]
             reach = wp.vec2(wp.max(reach[0], r[0]), wp.max(reach[1], r[1]))
     near = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -170,13 +203,15 @@ def coarsen_layers(
         if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
             child = finer + (y + k // 2) * finer_columns + x + k % 2
             s = unpack_pair(pyramid_out.near_spread[child])
-            w = 0.25 * like_weight(s[0], largest_near)
-            c = w * unpack_halves(pyramid_out.near[child])
+            c = unpack_halves(pyramid_out.near[child])
+            w = 0.25 * like_weight(s[0], light_of(c), largest_near, light_near)
+            c = w * c
             near += c
             near_spread = add_spread(near_spread, c, s[0], w * s[1])
             s = unpack_pair(pyramid_out.behind_spread[child])
-            w = 0.25 * like_weight(s[0], largest_behind)
-            c = w * unpack_halves(pyramid_out.behind[child])
+            c = unpack_halves(pyramid_out.behind[child])
+            w = 0.25 * like_weight(s[0], light_of(c), largest_behind, light_behind)
+            c = w * c
             behind += c
             behind_spread = add_spread(behind_spread, c, s[0], w * s[1])
     texel = level_start(pyramid_out, level) + index
@@ -185,6 +220,7 @@ def coarsen_layers(
     pyramid_out.behind[texel] = pack_halves(behind)
     pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
     pyramid_out.reach[texel] = reach
+    pyramid_out.octaves[texel] = octaves
 
 
 @wp.func
@@ -200,8 +236,11 @@ def find_reach(
     pyramid: Pyramid,
     # Out:
     tiles_out: wp.array[wp.vec2],
+    octaves_out: wp.array[wp.uint32],
 ):
     """Write for each tile how far to look for what is in front of the focus, at half and at full resolution [px].
+
+    And which octaves of radii are around behind it.
 
     A texel of level i is 2^(i + 1) pixels wide, and so large are radii at most that are looked for in a tile's 3 x 3
     surroundings at this level; larger ones are found at coarser levels.
@@ -212,6 +251,7 @@ def find_reach(
     y = tile // columns
     side = 2 << TILE_LEVEL
     found = wp.vec2(0.0, 0.0)
+    octaves = wp.uint32(0)
     start = level_start(pyramid, TILE_LEVEL)
     for level in range(TILE_LEVEL, pyramid.levels + 1):
         across = level_columns(pyramid, level)
@@ -228,7 +268,12 @@ def find_reach(
                 # Edges are soft by up to two samples.
                 if r[0] > found[0] and wp.sqrt(dx * dx + dy * dy) < 1.25 * r[0] + 2.0:
                     found[0] = r[0]
+                bits = pyramid.octaves[start + j * across + i]
+                # Radii of octave i are as wide as texels of level i at most.
+                octaves = octaves | (bits & (wp.uint32(1) << wp.uint32(level)))
                 if level == TILE_LEVEL:
+                    octaves = octaves | (bits & wp.uint32(7))
                     found[1] = wp.max(found[1], r[1])
         start += across * rows
     tiles_out[tile] = found
+    octaves_out[tile] = octaves

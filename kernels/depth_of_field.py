@@ -174,7 +174,7 @@ def light_behind(
         if weights > 0.0:
             result = total / weights
     if radius < COARSE_TO:
-        fine = gather_disks(lens, pyramid, float(x) + 0.5, float(y) + 0.5, radius, 0, 0.0)
+        fine = gather_disks(lens, pyramid, float(x) + 0.5, float(y) + 0.5, radius, wp.uint32(0), 0.0)
         if fine[0] >= 0.0:
             result = wp.lerp(fine, result, wp.max(radius - COARSE_FROM, 0.0) / (COARSE_TO - COARSE_FROM))
     return result

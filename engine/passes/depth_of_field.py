@@ -51,7 +51,7 @@ class DepthOfFieldPass:
         self.width = self.height = 0
 
     def resize(self, width: int, height: int) -> None:
-        """Allocate all buffers for a size [px]: 35 bytes a pixel."""
+        """Allocate all buffers for a size [px]: 36 bytes a pixel."""
         self.width, self.height = width, height
         device, p = self.device, Pyramid()
         p.width, p.height = width, height
@@ -66,12 +66,14 @@ class DepthOfFieldPass:
         p.near, p.behind = (wp.zeros(count, dtype=wp.uint64, device=device) for _ in range(2))
         p.near_spread, p.behind_spread = (wp.zeros(count, dtype=wp.uint32, device=device) for _ in range(2))
         p.reach = wp.zeros(count, dtype=wp.vec2, device=device)
+        p.octaves = wp.zeros(count, dtype=wp.uint32, device=device)
         blurred = Blurred()
         blurred.behind, blurred.near, blurred.filled = (
             wp.zeros(texels, dtype=wp.uint64, device=device) for _ in range(3))
         blurred.radius = wp.zeros(texels, dtype=float, device=device)
         blurred.cover = wp.zeros(texels, dtype=wp.uint32, device=device)
         blurred.tiles = wp.zeros(self._sizes[int(defocus.TILE_LEVEL)], dtype=wp.vec2, device=device)
+        self._octaves = wp.zeros(len(blurred.tiles), dtype=wp.uint32, device=device)
         self._pyramid, self._blurred = p, blurred
         self._lens = wp.zeros(int(defocus.LENS_WORDS), dtype=float, device=device)
         self.picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
@@ -102,9 +104,10 @@ class DepthOfFieldPass:
             defocus_layers.split_layers, self._sizes[0], [views, lens, mean.color, current, depth], [p])
         for level in range(1, p.levels + 1):
             graph.launch(defocus_layers.coarsen_layers, self._sizes[level], [level], [p])
-        graph.launch(defocus_layers.find_reach, len(blurred.tiles), [p], [blurred.tiles])
+        graph.launch(defocus_layers.find_reach, len(blurred.tiles), [p], [blurred.tiles, self._octaves])
         graph.launch(
-            defocus_gather.gather_behind, self._sizes[0], [lens, depth, p], [blurred.behind, blurred.radius])
+            defocus_gather.gather_behind, self._sizes[0], [lens, depth, p, self._octaves],
+            [blurred.behind, blurred.radius])
         graph.launch(
             defocus_gather.gather_near, self._sizes[0], [lens, p, blurred.tiles],
             [blurred.near, blurred.cover, blurred.filled])

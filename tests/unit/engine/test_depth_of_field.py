@@ -100,12 +100,25 @@ def test_points_of_light_become_disks(depth, tolerance):
     assert 2.0 * np.sqrt(0.5 * (right + up) - 0.25) == pytest.approx(radius, rel=0.04, abs=0.45)
 
 
+@pytest.mark.parametrize(("lens", "radius"), [(0.1, 6.0), (0.1, 12.0), (0.3, 6.0), (0.3, 20.0), (0.15, 24.0)])
+def test_bulbs_before_what_is_much_further_away(lens, radius):
+    """Keep a bulb's light and its disk's radius where what is behind it is blurred many times as widely."""
+    size = (192, 128)
+    for side in (1, 2, 3):
+        color = np.zeros((128, 192, 4), np.float32)
+        color[64:64 + side, 96:96 + side] = 1000.0 / side ** 2
+        depth = np.where(color[..., 0] > 0.0, 1.0 / (1.0 - radius / (240.0 * lens)), SKY)
+        light, right, up, _ = spread(Lens(size, radius=lens).show(color, depth), (95.5 + side / 2, 63.5 + side / 2))
+        assert light == pytest.approx(1000.0, rel=0.08)
+        assert 2.0 * np.sqrt(0.5 * (right + up) - 0.25) == pytest.approx(radius, rel=0.12)
+
+
 def test_disks_have_the_shape_of_the_lens():
     """Draw polygons as the path tracer's lens has them, turned in front of the focus, and squeeze them."""
     color, center = spot()
     third = {}
     for depth in (3.0, 0.6):
-        blades = {"aperture_blades": 3, "aperture_rotation": 0.5 * np.pi}
+        blades = {"aperture_blades": 3, "aperture_rotation": -0.5 * np.pi}
         light, right, up, third[depth] = spread(Lens(**blades).show(color, depth), center)
         # A triangle's mean square way is r^2 / 8, half of a disk's.
         assert 0.5 * (right + up) == pytest.approx((12.0 * (1.0 - 1.0 / depth)) ** 2 / 8.0, rel=0.2)
