@@ -204,6 +204,20 @@ def lobes_at(closure: Closure, wo: wp.vec3, across: wp.vec3, h: float) -> HairLo
 
 
 @wp.func
+def hair_albedo(closure: Closure, lobes: HairLobes) -> wp.vec3:
+    """Return what Cycles' Glossy Color shows of hair: what is reflected here, and the color of much hair.
+
+    That is the fit of Chiang et al. 2016, section 4.2; measured, it is that of the variance along the strand.
+    """
+    x = lobes.variance
+    scale = 5.969 + x * (-0.215 + x * (2.532 + x * (-10.73 + x * (5.574 + x * 0.245))))
+    albedo = lobes.reflected
+    for c in range(3):
+        albedo[c] = albedo[c] + wp.exp(-wp.sqrt(wp.max(closure.tangent[c], 0.0)) * scale)
+    return wp.cw_mul(lobes.weight, albedo)
+
+
+@wp.func
 def tilted(sin_i: float, cos_i: float, angle: float) -> wp.vec2:
     """Return sine and cosine of an angle turned by another, the cosine without its sign."""
     s = wp.sin(angle)

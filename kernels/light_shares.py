@@ -11,6 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import max_component, mean_component
+from .hair_lobes import hair_albedo, hair_lobes
 from .intersect import surface_point
 from .layering import prepare_bsdf
 from .light_linking import is_for
@@ -29,7 +30,7 @@ from .sampling import (
     sample_pair,
 )
 from .subsurface import without_subsurface
-from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, Scene, ShadingPoint
+from .types import CLOSURE_HAIR, VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Bsdf, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -175,3 +176,9 @@ def share_first_light(
                 else:
                     split_out.path_share[path] = share
             k = k + 1
+        closure = paths.closure[path]
+        if closure.kind == CLOSURE_HAIR:
+            # As in Cycles all light that hair scatters is glossy.
+            split_out.glossy_color[path] = wp.cw_mul(arriving, hair_albedo(closure, hair_lobes(closure, point)))
+            split_out.lamp_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+            split_out.path_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)

@@ -112,8 +112,8 @@ for color, along, around in (("white", 0.3, 0.3), ("blond", 0.3, 0.4), ("blond",
     compare(scene, 768)
 scene = new_light("sun"); add_ball(scene, look("black", Coat=0.7, Roughness=0.5))
 # Of coats direct light alone: what Cycles samples of R is as wide as without one, unlike the density that it states.
-scene.cycles.max_bounces, scene.burnish.sampling.max_bounces = 0, 1
-compare(scene, 64)
+scene.cycles.max_bounces, scene.burnish.light_paths.max_bounces = 0, 1
+compare(scene, 256)
 scene = new_light("sun"); add_fur(scene, look("brown", Roughness=0.4, Radial_Roughness=0.5))
 compare(scene, 512)
 finish(results)
