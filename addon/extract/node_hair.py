@@ -38,7 +38,7 @@ def principled_hair(graph: Graph, node, weight: Value) -> None:
     scale = albedo_scale(graph, radial)
     if not graph.hair:
         graph.tell(node, "is a hair shader, which is drawn as a Diffuse BSDF")
-        build.closure("DIFFUSE", weight, color=hair_color(graph, node, scale), normal=perturbed_normal(graph, node))
+        build.closure("DIFFUSE", weight, color=hair_color(graph, node), normal=perturbed_normal(graph, node))
         return
     graph.wants_hair = True
     if node.model == 'HUANG':
@@ -48,7 +48,7 @@ def principled_hair(graph: Graph, node, weight: Value) -> None:
         scatter(graph, node, weight, roughness, radial, scale)
         return
     build.closure(
-        "PRINCIPLED", weight, color=hair_color(graph, node, scale), normal=perturbed_normal(graph, node),
+        "PRINCIPLED", weight, color=hair_color(graph, node), normal=perturbed_normal(graph, node),
         roughness=roughness, ior=graph.value(node, "IOR", 1.55), specular_level=0.5, specular_tint=1.0, coat_ior=1.5,
         coat_tint=1.0, sheen_tint=1.0)
 
@@ -107,11 +107,12 @@ def absorption(graph: Graph, node, scale: Value) -> list[Value]:
     return melanin_absorption(graph, node, scale)
 
 
-def hair_color(graph: Graph, node, scale: Value) -> Value:
+def hair_color(graph: Graph, node) -> Value:
     """Return the colour that the node describes."""
     if node.parametrization == 'COLOR':
         return graph.value(node, "Color")
     build = graph.builder
+    scale = albedo_scale(graph, hair_roughness(graph, node)[1])
     depths = [build.math("MULTIPLY", build.math("SQRT", build.math("MAXIMUM", channel, 0.0)), scale)
               for channel in absorption(graph, node, scale)]
     return build.combine(*(build.math("EXPONENT", build.math("MULTIPLY", depth, -1.0)) for depth in depths))
