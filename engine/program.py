@@ -325,10 +325,12 @@ class ProgramBuilder:
         weight = self.constant(weight)
         if scalar(weight) == 0.0:
             return
+        # Hair's last argument stands where a film's do.
         film = "film_thickness" in arguments or kind == "HAIR"
         slots: list[Value] = [self.constant(0.0)] * slot_count(kind, subsurface_method, film=film)
+        places = ARGUMENTS | HAIR_ARGUMENTS
         for name, value in {"weight": weight, **arguments}.items():
-            slots[HAIR_ARGUMENTS[name] if name in HAIR_ARGUMENTS else ARGUMENTS[name]] = self.constant(value)
+            slots[places[name]] = self.constant(value)
         sub = closure_code(kind, multiscatter, subsurface_method, film=film)
         self.sinks.append(Sink(codes.OP_CLOSURE, sub, tuple(v.index for v in slots), "s"))
 

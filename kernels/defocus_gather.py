@@ -25,8 +25,7 @@ from .defocus import (
     octave,
     wide_share,
 )
-from .defocus_layers import pack_spread
-from .packed_halves import pack_halves, unpack_halves, unpack_pair
+from .packed_halves import pack_halves, pack_pair, unpack_halves, unpack_pair
 from .wide_loads import load_float, load_uint, load_word
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -274,5 +273,5 @@ def gather_near(
             filling)
         has_fill = wp.where(filling, 1.0, 0.0)
     near_out[texel] = pack_halves(f.near)
-    cover_out[texel] = pack_spread(f.cover, has_fill)
+    cover_out[texel] = pack_pair(f.cover, has_fill)
     filled_out[texel] = pack_halves(f.filled)

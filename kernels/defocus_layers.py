@@ -23,7 +23,7 @@ from .defocus import (
     octave,
     wide_share,
 )
-from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
+from .packed_halves import pack_halves, pack_pair, unpack_halves, unpack_pair
 from .packing import HALF_MAX
 from .view import View
 from .wide_loads import load_float, load_vec4
@@ -35,12 +35,6 @@ LIKE_RADIUS = wp.constant(0.3)
 
 # Exposed radiance that parts of a texel count as having beside their own in the mean of their radii.
 LEAST_LIGHT = wp.constant(1.0e-3)
-
-
-@wp.func
-def pack_spread(radius: float, share: float) -> wp.uint32:
-    """Pack a radius and a share as two half-floats."""
-    return half_bits(radius) | (half_bits(share) << wp.uint32(16))
 
 
 @wp.func
@@ -74,7 +68,54 @@ def add_spread(spread: wp.vec3, color: wp.vec4, radius: float, share: float) -> 
 @wp.func
 def pack_mean_spread(spread: wp.vec3) -> wp.uint32:
     """Pack the mean radius and the share of add_spread's sums."""
-    return pack_spread(spread[0] / wp.max(spread[1], 1.0e-20), spread[2])
+    return pack_pair(spread[0] / wp.max(spread[1], 1.0e-20), spread[2])
+
+
+@wp.struct
+class Layer:
+    """What the parts of a texel come to in one of the two layers."""
+
+    largest: float
+    """Radius [px] of the most blurred part"""
+    light: float
+    """That part's brightness"""
+    color: wp.vec4
+    """Sum of weighed colours"""
+    spread: wp.vec3
+    """Sums of add_spread"""
+
+
+@wp.func
+def with_radius(layer: Layer, radius: float, light: float) -> Layer:
+    """Take note of a part's radius [px] and brightness; comes before all add_part."""
+    result = layer
+    if radius > layer.largest:
+        result.largest = radius
+        result.light = light
+    return result
+
+
+@wp.func
+def add_part(layer: Layer, part: float, color: wp.vec4, light: float, radius: float, share: float) -> Layer:
+    """Add a part of a texel, so much of it: its colour, brightness and radius [px], and the share that it covers."""
+    result = layer
+    w = part * like_weight(radius, light, layer.largest, layer.light)
+    result.color += w * color
+    result.spread = add_spread(layer.spread, w * color, radius, w * share)
+    return result
+
+
+@wp.func
+def store_texel(
+    pyramid: Pyramid, texel: int, near: Layer, behind: Layer, reach: wp.vec2, octaves: wp.uint32,
+):
+    """Write a texel of any level."""
+    pyramid.near[texel] = pack_halves(near.color)
+    pyramid.near_spread[texel] = pack_mean_spread(near.spread)
+    pyramid.behind[texel] = pack_halves(behind.color)
+    pyramid.behind_spread[texel] = pack_mean_spread(behind.spread)
+    pyramid.reach[texel] = reach
+    pyramid.octaves[texel] = octaves
 
 
 @wp.func
@@ -107,10 +148,8 @@ def split_layers(
     x = texel % pyramid_out.columns * 2
     y = texel // pyramid_out.columns * 2
     view = views[0]
-    largest_near = float(0.0)
-    largest_behind = float(0.0)
-    light_near = float(0.0)
-    light_behind = float(0.0)
+    near = Layer()
+    behind = Layer()
     octaves = wp.uint32(0)
     reach = wp.vec2(0.0, 0.0)
     for k in range(4):
@@ -119,21 +158,14 @@ def split_layers(
         if px < pyramid_out.width and py < pyramid_out.height:
             r = circle_radius(lens, load_float(depth, py * pyramid_out.width + px), pyramid_out.largest)
             light = light_of(shown_color(view, mean, current, py * pyramid_out.width + px))
-            if r < -WIDE_FROM and -r > largest_near:
-                largest_near = -r
-                light_near = light
-            if r > largest_behind:
-                largest_behind = r
-                light_behind = light
+            if r < -WIDE_FROM:
+                near = with_radius(near, -r, light)
+            behind = with_radius(behind, r, light)
             if r > WIDE_FROM:
                 octaves = octaves | (wp.uint32(1) << wp.uint32(octave(r)))
             if wp.abs(r) < WIDE_TO:
                 reach[1] = wp.max(reach[1], wp.abs(r))
-    reach[0] = largest_near
-    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    behind = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    near_spread = wp.vec3(0.0, 0.0, 0.0)
-    behind_spread = wp.vec3(0.0, 0.0, 0.0)
+    reach[0] = near.largest
     for k in range(4):
         px = x + k % 2
         py = y + k // 2
@@ -145,18 +177,9 @@ def split_layers(
                 share = wide_share(r)
             c = shown_color(view, mean, current, pixel)
             light = light_of(c)
-            w = 0.25 * share * like_weight(-r, light, largest_near, light_near)
-            near += w * c
-            near_spread = add_spread(near_spread, w * c, -r, w)
-            w = 0.25 * (1.0 - share) * like_weight(wp.max(r, 0.0), light, largest_behind, light_behind)
-            behind += w * c
-            behind_spread = add_spread(behind_spread, w * c, wp.max(r, 0.0), w)
-    pyramid_out.near[texel] = pack_halves(near)
-    pyramid_out.near_spread[texel] = pack_mean_spread(near_spread)
-    pyramid_out.behind[texel] = pack_halves(behind)
-    pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
-    pyramid_out.reach[texel] = reach
-    pyramid_out.octaves[texel] = octaves
+            near = add_part(near, 0.25 * share, c, light, -r, 1.0)
+            behind = add_part(behind, 0.25 * (1.0 - share), c, light, wp.max(r, 0.0), 1.0)
+    store_texel(pyramid_out, texel, near, behind, reach, octaves)
 
 
 @wp.kernel
@@ -175,52 +198,31 @@ def coarsen_layers(
     finer = level_start(pyramid_out, level - 1)
     x = index % columns * 2
     y = index // columns * 2
-    largest_near = float(0.0)
-    largest_behind = float(0.0)
-    light_near = float(0.0)
-    light_behind = float(0.0)
+    near = Layer()
+    behind = Layer()
     octaves = wp.uint32(0)
     reach = wp.vec2(0.0, 0.0)
     for k in range(4):
         if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
             child = finer + (y + k // 2) * finer_columns + x + k % 2
-            radius = unpack_pair(pyramid_out.near_spread[child])[0]
-            if radius > largest_near:
-                largest_near = radius
-                light_near = light_of(unpack_halves(pyramid_out.near[child]))
-            radius = unpack_pair(pyramid_out.behind_spread[child])[0]
-            if radius > largest_behind:
-                largest_behind = radius
-                light_behind = light_of(unpack_halves(pyramid_out.behind[child]))
+            near = with_radius(
+                near, unpack_pair(pyramid_out.near_spread[child])[0], light_of(unpack_halves(pyramid_out.near[child])))
+            behind = with_radius(
+                behind, unpack_pair(pyramid_out.behind_spread[child])[0],
+                light_of(unpack_halves(pyramid_out.behind[child])))
             octaves = octaves | pyramid_out.octaves[child]
             r = pyramid_out.reach[child]
             reach = wp.vec2(wp.max(reach[0], r[0]), wp.max(reach[1], r[1]))
-    near = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    behind = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    near_spread = wp.vec3(0.0, 0.0, 0.0)
-    behind_spread = wp.vec3(0.0, 0.0, 0.0)
     for k in range(4):
         if x + k % 2 < finer_columns and y + k // 2 < finer_rows:
             child = finer + (y + k // 2) * finer_columns + x + k % 2
             s = unpack_pair(pyramid_out.near_spread[child])
             c = unpack_halves(pyramid_out.near[child])
-            w = 0.25 * like_weight(s[0], light_of(c), largest_near, light_near)
-            c = w * c
-            near += c
-            near_spread = add_spread(near_spread, c, s[0], w * s[1])
+            near = add_part(near, 0.25, c, light_of(c), s[0], s[1])
             s = unpack_pair(pyramid_out.behind_spread[child])
             c = unpack_halves(pyramid_out.behind[child])
-            w = 0.25 * like_weight(s[0], light_of(c), largest_behind, light_behind)
-            c = w * c
-            behind += c
-            behind_spread = add_spread(behind_spread, c, s[0], w * s[1])
-    texel = level_start(pyramid_out, level) + index
-    pyramid_out.near[texel] = pack_halves(near)
-    pyramid_out.near_spread[texel] = pack_mean_spread(near_spread)
-    pyramid_out.behind[texel] = pack_halves(behind)
-    pyramid_out.behind_spread[texel] = pack_mean_spread(behind_spread)
-    pyramid_out.reach[texel] = reach
-    pyramid_out.octaves[texel] = octaves
+            behind = add_part(behind, 0.25, c, light_of(c), s[0], s[1])
+    store_texel(pyramid_out, level_start(pyramid_out, level) + index, near, behind, reach, octaves)
 
 
 @wp.func

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .node_rays import Rays, is_blurred, program_start, run_exact
+from .materials_exact import exact_closure
+from .node_rays import program_start
 from .paths import Paths, has_hit, hit_point
-from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, hash_combine, sample_pair
 from .types import MATERIAL_HAIR, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -40,13 +40,6 @@ def evaluate_hair_materials(
         path = queue[i]
         i = i + stride
         if has_hit(paths_out, path):
-            bounce = paths_out.state[path]
-            point = hit_point(scene, paths_out, path, bounce)
-            dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
-            lobe = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_LOBE)
-            rays = Rays()
-            rays.seed = hash_combine(paths_out.seed[path], wp.uint32(bounce))
-            rays.index = paths_out.index[path]
-            rays.blurred = is_blurred(paths_out.kind[path], paths_out.pdf[path])
+            point = hit_point(scene, paths_out, path, paths_out.state[path])
             start = traced_start(scene, point.material)
-            paths_out.closure[path] = run_exact(scene, point, start, lobe[1], rays)
+            paths_out.closure[path] = exact_closure(scene, point, start, paths_out, path)

@@ -18,6 +18,12 @@ def half_bits(x: float) -> wp.uint32:
 
 
 @wp.func
+def pack_pair(first: float, second: float) -> wp.uint32:
+    """Round two numbers to half-floats, the first in the lower bits."""
+    return half_bits(first) | (half_bits(second) << wp.uint32(16))
+
+
+@wp.func
 def pack_halves(v: wp.vec4) -> wp.uint64:
     """Round to half-floats, the first in the lowest bits."""
     low = half_bits(v[0]) | (half_bits(v[1]) << wp.uint32(16))

@@ -34,8 +34,6 @@ SHOWN = "scatters light within strands in path tracing; real-time frames show a 
 def principled_hair(graph: Graph, node, weight: Value) -> None:
     """Translate the node: on what isn't hair as a Diffuse BSDF."""
     build = graph.builder
-    roughness, radial = hair_roughness(graph, node)
-    scale = albedo_scale(graph, radial)
     if not graph.hair:
         graph.tell(node, "is a hair shader, which is drawn as a Diffuse BSDF")
         build.closure("DIFFUSE", weight, color=hair_color(graph, node), normal=perturbed_normal(graph, node))
@@ -44,8 +42,9 @@ def principled_hair(graph: Graph, node, weight: Value) -> None:
     if node.model == 'HUANG':
         graph.tell(node, "has the model HUANG, which is drawn as CHIANG")
     graph.tell(node, SHOWN, ReportKind.INFO)
+    roughness, radial = hair_roughness(graph, node)
     if graph.scatters:
-        scatter(graph, node, weight, roughness, radial, scale)
+        scatter(graph, node, weight, roughness, radial)
         return
     build.closure(
         "PRINCIPLED", weight, color=hair_color(graph, node), normal=perturbed_normal(graph, node),
@@ -53,7 +52,7 @@ def principled_hair(graph: Graph, node, weight: Value) -> None:
         coat_tint=1.0, sheen_tint=1.0)
 
 
-def scatter(graph: Graph, node, weight: Value, roughness: Value, radial: Value, scale: Value) -> None:
+def scatter(graph: Graph, node, weight: Value, roughness: Value, radial: Value) -> None:
     """Add the closure of hair that scatters light."""
     build = graph.builder
     factors, coat = build.constant(1.0), build.constant(0.0)
@@ -64,9 +63,9 @@ def scatter(graph: Graph, node, weight: Value, roughness: Value, radial: Value, 
         coat = build.math("CLAMP", graph.value(node, "Coat"), 0.0, 1.0)
     build.closure(
         "HAIR", weight, color=factors, strand=strand_direction(graph)[0], roughness=roughness,
-        ior=graph.value(node, "IOR", 1.55), absorption=build.combine(*absorption(graph, node, scale)),
-        radial_roughness=radial, tilt=graph.value(node, "Offset"),
-        primary_roughness=build.math("SUBTRACT", 1.0, coat))
+        ior=graph.value(node, "IOR", 1.55), radial_roughness=radial,
+        absorption=build.combine(*absorption(graph, node, albedo_scale(graph, radial))),
+        tilt=graph.value(node, "Offset"), primary_roughness=build.math("SUBTRACT", 1.0, coat))
 
 
 def hair_roughness(graph: Graph, node) -> tuple[Value, Value]:
