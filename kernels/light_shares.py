@@ -126,6 +126,56 @@ def albedo_share(split: LightSplit, path: int) -> wp.vec4:
     return wp.vec4(share, share, share, wp.where(glossy >= transmission, 1.0, 0.0))
 
 
+@wp.func
+def share_surface(scene: Scene, point: ShadingPoint, paths: Paths, split_out: LightSplit, path: int):
+    """Find albedos and shares at a hit of a path."""
+    bsdf = prepare_bsdf(scene.tables, paths.closure[path], point)
+    albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
+    # Light of the shadow ray and of a ray reflected here has not been below the surface.
+    bsdf = without_subsurface(bsdf, paths.closure[path]).bsdf
+    arriving = split_out.throughput[path]
+    split_out.diffuse_color[path] = wp.cw_mul(arriving, albedo.diffuse + albedo.translucent)
+    split_out.glossy_color[path] = wp.cw_mul(arriving, albedo.specular)
+    split_out.transmission_color[path] = wp.cw_mul(arriving, albedo.transmitted)
+    k = int(0)
+    while k < 2:
+        # Of the shadow ray, then of the path's next ray.
+        wi = paths.shadow_direction[path]
+        visibility = int(ALL_LOBES)
+        asked = paths.shadow_distance[path] != 0.0
+        if k == 1:
+            wi = paths.direction[path]
+            asked = paths.state[path] != ENDED
+        elif asked:
+            visibility = light_visibility(scene, point, bsdf, paths, path)
+        if asked:
+            # A shadow ray starts off the surface: at the horizon it may leave for where no lobe looks.
+            share = albedo_share(split_out, path)
+            if k == 1:
+                share = drawn_share(bsdf, paths.kind[path])
+            # A mirror's ray has no density (pdf 0); what other lobes return in its direction is not in it.
+            if k == 0 or paths.pdf[path] > 0.0:
+                share = share_of(bsdf, point.wo, wi, visibility, share)
+            if k == 0:
+                split_out.lamp_share[path] = share
+            else:
+                split_out.path_share[path] = share
+        k = k + 1
+
+
+@wp.func
+def share_hair(point: ShadingPoint, paths: Paths, split_out: LightSplit, path: int):
+    """Find them on hair that scatters light: as in Cycles all of that is glossy."""
+    closure = paths.closure[path]
+    none = wp.vec3(0.0, 0.0, 0.0)
+    split_out.diffuse_color[path] = none
+    split_out.glossy_color[path] = wp.cw_mul(
+        split_out.throughput[path], hair_albedo(closure, hair_lobes(closure, point)))
+    split_out.transmission_color[path] = none
+    split_out.lamp_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    split_out.path_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+
+
 @wp.kernel
 def share_first_light(
     # In:
@@ -144,41 +194,7 @@ def share_first_light(
         i = i + stride
         ray = split_out.ray[path]
         point = surface_point(scene, make_hit(ray[3], paths.hit[path], paths.barycentrics[path]), rgb(ray))
-        bsdf = prepare_bsdf(scene.tables, paths.closure[path], point)
-        albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
-        # Light of the shadow ray and of a ray reflected here has not been below the surface.
-        bsdf = without_subsurface(bsdf, paths.closure[path]).bsdf
-        arriving = split_out.throughput[path]
-        split_out.diffuse_color[path] = wp.cw_mul(arriving, albedo.diffuse + albedo.translucent)
-        split_out.glossy_color[path] = wp.cw_mul(arriving, albedo.specular)
-        split_out.transmission_color[path] = wp.cw_mul(arriving, albedo.transmitted)
-        k = int(0)
-        while k < 2:
-            # Of the shadow ray, then of the path's next ray.
-            wi = paths.shadow_direction[path]
-            visibility = int(ALL_LOBES)
-            asked = paths.shadow_distance[path] != 0.0
-            if k == 1:
-                wi = paths.direction[path]
-                asked = paths.state[path] != ENDED
-            elif asked:
-                visibility = light_visibility(scene, point, bsdf, paths, path)
-            if asked:
-                # A shadow ray starts off the surface: at the horizon it may leave for where no lobe looks.
-                share = albedo_share(split_out, path)
-                if k == 1:
-                    share = drawn_share(bsdf, paths.kind[path])
-                # A mirror's ray has no density (pdf 0); what other lobes return in its direction is not in it.
-                if k == 0 or paths.pdf[path] > 0.0:
-                    share = share_of(bsdf, point.wo, wi, visibility, share)
-                if k == 0:
-                    split_out.lamp_share[path] = share
-                else:
-                    split_out.path_share[path] = share
-            k = k + 1
-        closure = paths.closure[path]
-        if closure.kind == CLOSURE_HAIR:
-            # As in Cycles all light that hair scatters is glossy.
-            split_out.glossy_color[path] = wp.cw_mul(arriving, hair_albedo(closure, hair_lobes(closure, point)))
-            split_out.lamp_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
-            split_out.path_share[path] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+        if paths.closure[path].kind == CLOSURE_HAIR:
+            share_hair(point, paths, split_out, path)
+        else:
+            share_surface(scene, point, paths, split_out, path)

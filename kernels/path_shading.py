@@ -59,6 +59,7 @@ from .types import (
     VISIBLE_TRANSMISSION,
     Bsdf,
     BsdfSample,
+    BsdfValue,
     FrameData,
     Scene,
     ShadingPoint,
@@ -217,7 +218,12 @@ def front_of(bsdf: Bsdf) -> wp.vec3:
 @wp.func
 def arriving(point: ShadingPoint, bsdf: Bsdf, s: LightSample) -> wp.vec3:
     """Return what a light sample adds to a path of throughput 1 if nothing is in its way, weighed against the BSDF."""
-    value = evaluate_bsdf(bsdf, point.wo, s.wi)
+    return weighed_light(point, evaluate_bsdf(bsdf, point.wo, s.wi), s)
+
+
+@wp.func
+def weighed_light(point: ShadingPoint, value: BsdfValue, s: LightSample) -> wp.vec3:
+    """Return what a light sample adds by the value and the density that a BSDF has for its direction."""
     weight = float(1.0)
     if s.delta == 0 and blockers(s.visibility) == 0:
         weight = power_heuristic(s.pdf, value.pdf)

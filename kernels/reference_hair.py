@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3, power_heuristic
+from .geometry_math import is_finite3
 from .hair_exit import leaving_point
 from .hair_lobes import HairLobes, evaluate_hair, hair_lobes, sample_hair
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
 from .light_choice import choice_of_none, chosen_light, consider
-from .light_linking import blockers, kinds_lit, note_receiver
+from .light_linking import kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .path_shading import (
     LIGHT_CANDIDATES,
@@ -23,7 +22,7 @@ from .path_shading import (
     candidate_place,
     continue_path,
     is_held_out,
-    visible_part,
+    weighed_light,
 )
 from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .sampling import (
@@ -57,17 +56,6 @@ def surface_of_hair(closure: Closure, point: ShadingPoint) -> Bsdf:
 
 
 @wp.func
-def arriving_at_hair(point: ShadingPoint, lobes: HairLobes, s: LightSample) -> wp.vec3:
-    """Return what a light sample adds to a path, as path_shading.arriving does."""
-    value = evaluate_hair(lobes, s.wi)
-    weight = float(1.0)
-    if s.delta == 0 and blockers(s.visibility) == 0:
-        weight = power_heuristic(s.pdf, value.pdf)
-    f = visible_part(value.f, value.diffuse, wp.dot(point.geometric_normal, s.wi) > 0.0, s.visibility)
-    return wp.cw_mul(f, s.radiance) * (weight / s.pdf)
-
-
-@wp.func
 def light_hair(scene: Scene, point: ShadingPoint, lobes: HairLobes, paths: Paths, path: int):
     """Sample one light from all around, as path_shading.sample_direct_light does."""
     seed = paths.seed[path]
@@ -85,7 +73,7 @@ def light_hair(scene: Scene, point: ShadingPoint, lobes: HairLobes, paths: Paths
         s = sample_light_of(scene, classes, point.position, everywhere, u, refill)
         if s.kind >= 0:
             s.visibility = kinds_lit(scene, s.visibility, point.instance)
-            here = wp.cw_mul(throughput, arriving_at_hair(point, lobes, s))
+            here = wp.cw_mul(throughput, weighed_light(point, evaluate_hair(lobes, s.wi), s))
             value = wp.dot(here, scene.luminance) * s.brightness
             if is_finite3(here) and value > 0.0:
                 choice = consider(choice, s, here, value)
