@@ -26,6 +26,7 @@ from ..kernels.types import (
     Material,
     Materials,
 )
+from .clear_glass import clear_glass
 from .lean import LeanPrograms, has_film, is_lean, is_lean_transparency
 from .object_properties import PROPERTY_PREFIX
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
@@ -97,6 +98,7 @@ class MaterialTable:
     def __init__(self, device: str) -> None:
         """Start with the default material and a black world on `device`."""
         self.device = device
+        self._nothing = wp.empty(0, dtype=wp.vec4, device=device)
         self.uses_camera = False
         """Whether any program reads the camera: then `set_camera` restarts are due when it moves"""
         self.uses_window = False
@@ -109,6 +111,8 @@ class MaterialTable:
         """What they scatter below the surface"""
         self._programs: dict[Hashable, tuple[Program, int]] = {}
         self._used: frozenset[Hashable] | None = None
+        self._is_clear: dict[Hashable, bool] = {}
+        self._clear_in_use = False
         self.indices: dict[Hashable, int] = {}
         self.aov_starts: dict[str, np.ndarray] = {}
         """By shader AOV, the first instruction of each material's program, then the world's: int32 [materials + 1];
@@ -153,7 +157,8 @@ class MaterialTable:
         self.indices = {key: row for row, key in enumerate(everything)}
         records = np.zeros(len(everything), dtype=Material.numpy_dtype())
         self.uses_camera = world is not None and world.uses_camera
-        self._programs = {}
+        self._programs, self._is_clear = {}, {}
+        clear = np.zeros((len(everything), 4), np.float32)
         for row, (key, data) in enumerate(everything.items()):
             twins = data.exact, data.hair
             table.note_twins([each and table.add_code(each.surface, each, table.add_tables(each)) for each in twins])
@@ -168,7 +173,10 @@ class MaterialTable:
             records[row]["pass_index"] = data.pass_index
             self.uses_camera |= data.program.uses_camera
             self._programs[key] = data.program, int(records[row]["flags"])
+            clear[row] = clear_glass(data)
+            self._is_clear[key] = bool(clear[row, 3] > 0.0)
         self._used = None
+        self._clear = wp.array(clear, dtype=wp.vec4, device=self.device)
         self.note_used(everything)
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
         self._add_aovs(table, [*(data.aovs for data in everything.values()), world_aovs or {}])
@@ -191,6 +199,7 @@ class MaterialTable:
         self._used = used
         programs, flags = zip(*(self._programs[key] for key in used), strict=True) if used else ((), ())
         self.reflectors = find_reflectors(programs)
+        self._clear_in_use = any(self._is_clear[key] for key in used)
         self.subsurface = subsurface_use(flags)
         self.lean = LeanPrograms(
             *(all(each & bit for each in flags)
@@ -239,6 +248,7 @@ class MaterialTable:
         """Return the device arrays; the caller adds `instance_materials`."""
         materials = Materials()
         materials.materials = self._materials
+        materials.clear = self._clear if self._clear_in_use else self._nothing
         materials.code = self._code
         materials.constants = self._constants
         materials.ramps = self._ramps

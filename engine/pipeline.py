@@ -20,6 +20,7 @@ from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
 from ..kernels.reflection_sources import DISTANCE_ROUGHNESS
 from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
+from .clear_glass import light_scene, passes_glass
 from .device import device_errors
 from .device_scene import DeviceScene
 from .environment_split import split_environment
@@ -278,9 +279,9 @@ class Pipeline:
         graph.join(REPROJECTION)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         direct = self.direct.record(
-            graph, parity, scene.scene, views, surfaces, before, reprojection, self.split,
-            filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
-            lean_layers=scene.material_table.lean.transparency,
+            graph, parity, light_scene(scene.scene, self._settings.direct_light), views, surfaces, before, reprojection,
+            self.split, filtered=scene.structures.has_filtered, textured=scene.emitters.textured,
+            local_power=scene.local_power, lean_layers=scene.material_table.lean.transparency,
             shaped=scene.material_table.reflectors.shaped, fog=fog)
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
@@ -291,13 +292,10 @@ class Pipeline:
     def _record(
         self, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene, views: wp.array, motion: Motion,
     ) -> tuple[FrameGraph, wp.array, list]:
-        """Record a frame: the method in its order.
-
-        With `resting` pixels gather indirect light themselves.
-        """
+        """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
         self._recorded = []
         self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
-        graph, kernels_scene = FrameGraph(self.device), scene.scene
+        graph, kernels_scene = FrameGraph(self.device), light_scene(scene.scene, self._settings.direct_light)
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         shining = shines_plainly(kernels_scene, scene.emitters)
         lean = scene.material_table.lean
@@ -310,7 +308,8 @@ class Pipeline:
                 self.direct.record_emitters(graph, kernels_scene, scene.local_power)
         smallest = smallest_cell(self._settings.cache, scene.radius)
         cache_scene = {
-            "minimum_cell": smallest, "threshold": self.split.threshold, "filtered": filtered, "programs": programs,
+            "minimum_cell": smallest, "threshold": self.split.threshold, "programs": programs,
+            "filtered": filtered or passes_glass(kernels_scene),
             "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels, "fog": fog}
         self.cache.record_pending(
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)

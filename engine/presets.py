@@ -59,6 +59,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "cache.cone_test": False,
         "direct_light.candidates": 4,
         "direct_light.temporal_reuse": 1,
+        "direct_light.clear_glass": False,
         "reflections.roughness_traced": 0.2,
         "reflections.roughness_diffuse": 0.6,
         "reflections.roughness_blend": 0.0,

@@ -199,8 +199,7 @@ class ProbeSettings:
         True, "Send half of the rays where light came from before: less noise from small or distant light, at little "
         "cost")
     persistence: bool = setting(
-        True, "Keep probes that leave the picture until they come back: less noise while the view turns, for memory "
-        "alone")
+        True, "Keep probes that leave the picture until they come back: less noise in turning views, for memory alone")
     filtering: bool = setting(
         True, "Smooth neighbouring probes where they see the same points: less noise for little time, softer indirect "
         "shadows")
@@ -264,12 +263,13 @@ class DirectLightSettings:
         8, "Lights considered for each pixel before one shadow ray is sent: more find the brightest of many lights, "
         "each for some time", low=1, high=64, soft_high=16)
     temporal_reuse: int = setting(
-        0, "Frames' worth of candidates taken over from the frame before, where a scene has more lights than "
-        "candidates: less noise in one frame for some time, but noise that moves in patches, which the denoiser keeps. "
-        "0 is nearer to the truth", low=0, high=64)
+        0, "Frames' worth of candidates taken over from the frame before, if a scene has more lights than that: less "
+        "noise in one frame for some time, but noise that moves in patches: 0 is nearer to the truth", low=0, high=64)
     half_rate: bool = setting(
-        True, "Trace every other pixel's shadow ray while something moves: half the shadow rays, softer shadows in "
-        "motion")
+        True, "Trace every other pixel's shadow ray while something moves: half of them, softer shadows in motion")
+    clear_glass: bool = setting(
+        True, "Let light go on behind clear glass in straight lines: lights what is behind windows and in cases, for "
+        "some time where there is glass. Off: glass casts full shadows until path tracing takes over")
 
 
 @dataclass(frozen=True, kw_only=True)

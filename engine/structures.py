@@ -13,14 +13,15 @@ import numpy as np
 import warp as wp
 
 from ..kernels.flatten import flatten_vertices
-from ..kernels.types import Geometry, Scene
+from ..kernels.types import Geometry, InstanceLevel, Scene
 from .flat_structure import FlatStructure
 from .geometry_store import GeometryStore, MeshRange
+from .history import copy_struct
 from .instance_plan import InstancePlan, filtered_triangles, outer_bounds
 from .instanced import InstancedMeshes
 from .scene import Key, Visibility
 
-__all__ = ["RAY_KINDS", "Structures", "decides_layers", "is_flat"]
+__all__ = ["RAY_KINDS", "Structures", "decides_layers", "has_layers", "is_flat", "without_opaque"]
 
 # Below this many flattened triangles two levels are not worth their slower rays.
 ALWAYS_FLATTEN = 1 << 20
@@ -45,6 +46,20 @@ def decides_layers(scene: Scene) -> bool:
     if is_flat(scene):
         return int(flat.decided) == 1
     return (flat.nodes.shape[0] == 0 or int(flat.decided) == 1) and (int(level.nodes) == 0 or int(level.decided) == 1)
+
+
+def has_layers(scene: Scene) -> bool:
+    """Return whether any triangle needs a test per hit."""
+    return scene.geometry.flat_filtered.nodes.shape[0] > 0 or int(scene.geometry.instanced_filtered.nodes) != 0
+
+
+def without_opaque(scene: Scene) -> Scene:
+    """Return a scene whose rays meet nothing but triangles that need a test per hit."""
+    changed, geometry = copy_struct(scene), copy_struct(scene.geometry)
+    geometry.flat, geometry.instanced = FlatStructure(str(geometry.instances.device)).struct(), InstanceLevel()
+    # Structs hold copies of those in them.
+    changed.geometry = geometry
+    return changed
 
 
 class Structures:

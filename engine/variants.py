@@ -39,6 +39,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "16 light candidates": {"direct_light.candidates": 16},
     "reuse of lights": {"direct_light.temporal_reuse": 1},
     "a shadow ray for every pixel": {"direct_light.half_rate": False},
+    "no light behind glass": {"direct_light.clear_glass": False},
     "reflections traced to 0.2": {"reflections.roughness_traced": 0.2},
     "no traced reflections": {"reflections.roughness_traced": 0.0, "reflections.roughness_blend": 0.0},
     "no blend of reflections": {"reflections.roughness_blend": 0.0},

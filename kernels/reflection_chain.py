@@ -43,8 +43,11 @@ from .reflection_rays import (
     GATHERED,
     REFRACTED,
     ReflectionRays,
+    clear_length,
+    comes_straight,
     first_density,
     gather,
+    kind_through,
     send_ray,
 )
 from .reflection_types import SAMPLE_FAR
@@ -105,14 +108,13 @@ def miss_light(
     vertices: Vertices, slot: int,
 ):
     """End a ray in the world; `radiance` is the world's there."""
-    direction = paths.direction[slot]
     light = wp.vec3(0.0, 0.0, 0.0)
     if (scene.environment.visibility & paths.kind[slot]) != 0:
         world = sane(radiance)
-        share = world_ray_share(split, first_density(reflection, paths, slot), direction)
+        share = world_ray_share(split, first_density(reflection, paths, slot), paths.direction[slot])
         light = soft_radiance(world, split.threshold, scene.luminance)
         light = light + excess_radiance(world, split.threshold, scene.luminance) * share
-        if (reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE) and paths.state[slot] > 1:
+        if (reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE) and not comes_straight(paths, slot):
             # Hits that such rays go on from sample the whole world, if anyone does (branch.direct).
             light = world * wp.where(scene.lights.environment_class >= 0, 0.0, 1.0)
     gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), SAMPLE_FAR)
@@ -128,12 +130,12 @@ def add_emission(
     """Add what a hit emits, and the way to it."""
     light = wp.vec3(0.0, 0.0, 0.0)
     if max_component(emission) > 0.0:
+        before = clear_length(paths, vertices, slot)
         share = emitter_ray_share(
-            scene, first_density(reflection, paths, slot), point.instance, point.triangle, paths.origin[slot],
-            paths.direction[slot], point.ray_length)
-        if not emission_counts(scene, point.instance, 1, paths, slot):
-            share = 0.0
-        light = sane(wp.cw_mul(paths.throughput[slot], emission) * share)
+            scene, first_density(reflection, paths, slot), point.instance, point.triangle,
+            paths.origin[slot] - paths.direction[slot] * before, paths.direction[slot], point.ray_length + before)
+        if emission_counts(scene, point.instance, 1, paths, slot):
+            light = sane(wp.cw_mul(paths.throughput[slot], emission) * share)
         rays.found[slot] = FOUND_EMITTER
     gather(vertices, slot, light, point.ray_length)
 
@@ -333,9 +335,7 @@ def last_of(surfaces: int, segments: int) -> int:
         return 0
     if surfaces < most - 1:
         return LAST_OUTSIDE
-    if surfaces < most:
-        return LAST_LEAVES
-    return LAST_CAUGHT
+    return LAST_LEAVES if surfaces < most else LAST_CAUGHT
 
 
 @wp.func
@@ -353,13 +353,13 @@ def meet_surface(
     if inside:
         # Both halves of the glass go on together.
         albedo.transmitted = trapped_albedo(scene.tables, bsdf, point.wo)
-    cosine = wp.dot(bsdf.specular_normal, point.wo)
     add_emission(scene, point, bsdf.emission, reflection, rays, paths, vertices, slot)
     lobe = mirror_material(albedo)
     smooth = bsdf.pick_glass > 0.0 and bsdf.glass_alpha <= INSIDE_ALPHA
     ends = wp.where((last == LAST_OUTSIDE or last == LAST_LEAVES) and smooth, 0, last)
     branch = choose_branch(albedo, lobe.specular, reflection, ends, paths, slot, surfaces)
     if branch.kind == BRANCH_MIRROR:
+        cosine = wp.dot(bsdf.specular_normal, point.wo)
         mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
     elif branch.kind == BRANCH_GLASS:
         seed = paths.seed[slot]
@@ -385,7 +385,8 @@ def meet_surface(
             left.transmitted = albedo.transmitted
             end_ray(point, left, wp.vec3(0.0, 0.0, 0.0), bsdf.normal, branch, rays, paths, vertices, slot)
         else:
-            follow(scene, point, s.wi, s.weight / branch.chance, s.pdf, s.kind, paths, slot)
+            kind = kind_through(scene, point, s.wi, s.kind, paths, slot)
+            follow(scene, point, s.wi, s.weight / branch.chance, s.pdf, kind, paths, slot)
     elif branch.kind == BRANCH_SCATTER:
         before = sane(albedo.diffuse + albedo.specular - lobe.specular)
         scattered_ray(scene, point, albedo, before, bsdf.normal, branch.chance, paths, slot)

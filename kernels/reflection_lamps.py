@@ -13,7 +13,7 @@ from .lamp_hit import FAR
 from .light_linking import receives_at
 from .paths import ENDED, Paths
 from .reflection_lights import lamps_along
-from .reflection_rays import first_density, gather
+from .reflection_rays import clear_length, first_density, gather
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -30,9 +30,18 @@ def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, s
     t_max = paths.t[slot]
     if paths.hit[slot][0] == MISS:
         t_max = FAR
-    light = lamps_along(
-        scene.lights, paths.kind[slot], receives_at(scene, 1, paths, slot), density, paths.origin[slot],
-        paths.direction[slot], t_max)
+    light = wp.vec3(0.0, 0.0, 0.0)
+    before = clear_length(paths, vertices, slot)
+    origin = paths.origin[slot] - paths.direction[slot] * before
+    t = t_max + before
+    sign = float(1.0)
+    # What lies before the glass has been counted.
+    while t > 0.0:
+        light = light + sign * lamps_along(
+            scene.lights, paths.kind[slot], receives_at(scene, 1, paths, slot), density, origin, paths.direction[slot],
+            t)
+        t = wp.where(sign > 0.0, before, 0.0)
+        sign = -1.0
     if max_component(light) > 0.0:
         gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), 0.0)
 

@@ -28,7 +28,7 @@ from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, place_pixel
 from .sampling import pixel_seed_of
-from .types import VISIBLE_DIFFUSE, Scene, ShadingPoint
+from .types import VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
 from .view import View
 
 # Dimensions of reflections' random numbers; each further surface takes as many as there are here.
@@ -47,6 +47,9 @@ LEFT = wp.constant(-2.0)
 
 # Density [1/sr] of directions that are drawn for certain.
 PDF_MAX = wp.constant(1.0e9)
+
+# Paths.kind, beside VISIBLE_* bits, of rays that have gone through clear glass alone; see kind_through.
+CLEAR_WAY = wp.constant(1 << 30)
 
 # ReflectionRays.found: where a ray's light came from
 FOUND_NONE = wp.constant(wp.uint8(0))
@@ -220,6 +223,41 @@ GATHERED = wp.constant(2)
 @wp.func
 def first_density(reflection: int, paths: Paths, slot: int) -> float:
     """Return the density that a ray shares light with (reflection_lights.py); 0: it counts in full, -1: not at all."""
-    if reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE:
+    kind = paths.kind[slot] & (CLEAR_WAY - 1)
+    if reflection == GATHERED or kind == VISIBLE_DIFFUSE or kind == (VISIBLE_DIFFUSE | VISIBLE_TRANSMISSION):
         return -1.0
-    return wp.where(reflection == REFLECTED and paths.state[slot] == 1, paths.pdf[slot], 0.0)
+    return wp.where(reflection == REFLECTED and comes_straight(paths, slot), paths.pdf[slot], 0.0)
+
+
+@wp.func
+def comes_straight(paths: Paths, slot: int) -> bool:
+    """Return whether a ray has met nothing but clear glass since the pixel's surface: light samples meet what it does.
+
+    Where light does not go on behind clear glass (clear_glass.py), only rays that have met nothing do.
+    """
+    return paths.state[slot] == 1 or (paths.kind[slot] & CLEAR_WAY) != 0
+
+
+@wp.func
+def clear_length(paths: Paths, vertices: Vertices, slot: int) -> float:
+    """Return how far behind the pixel's surface a ray begins that has gone through clear glass alone; 0 for others.
+
+    So far back lies, about, what light samples of the lights ahead are sent from.
+    """
+    return wp.where((paths.kind[slot] & CLEAR_WAY) != 0, vertices.emission[slot][3], 0.0)
+
+
+@wp.func
+def kind_through(
+    scene: Scene, point: ShadingPoint, direction: wp.vec3, kind: int, paths: Paths, slot: int,
+) -> int:
+    """Return the kind of a ray that goes on from glass: with CLEAR_WAY where light samples go there, too.
+
+    One from a lobe that light samples show alone keeps that lobe's kind beside its own.
+    """
+    through = kind == VISIBLE_TRANSMISSION and wp.dot(direction, point.wo) < 0.0
+    if not through or scene.materials.clear.shape[0] == 0:
+        return kind
+    if not comes_straight(paths, slot) or scene.materials.clear[point.material][3] <= 0.0:
+        return kind
+    return kind | (paths.kind[slot] & VISIBLE_DIFFUSE) | CLEAR_WAY

@@ -90,6 +90,7 @@ class BURNISH_RENDER_PT_direct_light(RealtimePanel, Panel):
         layout.prop(direct_light, "candidates")
         layout.prop(direct_light, "temporal_reuse")
         layout.prop(direct_light, "half_rate")
+        layout.prop(direct_light, "clear_glass")
 
 
 class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):

@@ -28,7 +28,7 @@ from ..frame_graph import FrameGraph
 from ..settings import CacheKey, CacheSettings
 from ..structures import decides_layers, is_flat
 from ..work_list import WorkList
-from .layer_rays import record_shadow_layers
+from .layer_rays import record_clear_shadows, record_shadow_layers
 
 __all__ = [
     "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_materials",
@@ -210,12 +210,13 @@ def record_shadow_rays(
         graph.launch(fog_rays.dim_shadow_rays, count, [scene, fog, offset], [paths])
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
+    between = record_clear_shadows(graph, scene, paths, under_way)
     if not filtered or not decides_layers(scene):
         trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
-        graph.launch_listed(trace, [scene, int(filtered)], under_way, [paths])
+        graph.launch_listed(trace, [between, int(filtered)], under_way, [paths])
     if filtered:
         record_shadow_layers(
-            graph, scene, paths, offset, count, queue, layered, bounces=1, lean=lean_layers, under_way=under_way)
+            graph, between, paths, offset, count, queue, layered, bounces=1, lean=lean_layers, under_way=under_way)
     if programs:
         pending = pending.part(offset, count)
         graph.fill_list(compaction.append_pending_shadows, count, [paths, offset], pending)

@@ -27,14 +27,15 @@ from ...kernels.gbuffer import GBuffer
 from ...kernels.reflection_types import LOBE_REFLECTION
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
+from ..clear_glass import passes_glass
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import decides_layers, is_flat
-from ..work_list import make_queue, make_work_list, one_number
-from .layer_rays import record_shadow_layers
+from ..work_list import every, make_queue, make_work_list, one_number
+from .layer_rays import record_clear_shadows, record_shadow_layers
 
 __all__ = ["DirectLightPass", "has_lights"]
 
@@ -170,19 +171,21 @@ class DirectLightPass:
                 for array in arrays_of(self.reservoirs.current(parity)):
                     graph.clear(array)
                 return self.light
-            self._make_rays(filtered=filtered, programs=textured or fog is not None)
+            self._make_rays(
+                filtered=filtered, programs=textured or fog is not None or passes_glass(scene))
             options = self._options(light_count(scene, split, local_power))
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
             if fog is not None:
                 graph.launch(fog_rays.dim_shadow_rays, self.slots, [scene, fog, 0], [self.rays])
-            if not filtered or not decides_layers(scene):
+            between = record_clear_shadows(graph, scene, self.rays, every(self.queue))
+            if between is scene and not (filtered and decides_layers(scene)):
                 trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
                 graph.launch(trace, self.slots, [scene], [self.rays])
             if filtered:
                 record_shadow_layers(
-                    graph, scene, self.rays, 0, self.slots, self.queue, self.layered, bounces=0, lean=lean_layers)
+                    graph, between, self.rays, 0, self.slots, self.queue, self.layered, bounces=0, lean=lean_layers)
             if textured:
                 shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])

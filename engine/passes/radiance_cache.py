@@ -30,6 +30,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
 from ..settings import CacheSettings
+from ..structures import has_layers
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
     COUNTERS,
@@ -169,7 +170,7 @@ class RadianceCachePass:
             count: Slots of rays.
             minimum_cell: Smallest cell [m], see smallest_cell.
             threshold: Luminance to which the world's radiance is limited for rays that miss (EnvironmentSplit).
-            filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
+            filtered: Whether rays pass surfaces: triangles that need a test per hit, or clear glass.
             programs: Whether lights may be programs (DeviceScene.has_hit_programs).
             gbuffer: For debug views alone.
             all_lean: Whether the lean node machine runs all flat programs (MaterialTable.lean).
@@ -268,8 +269,8 @@ class RadianceCachePass:
     def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
         """Record finding the hits of `count` rays from slot `offset` on."""
         record_hits(
-            graph, scene, self.paths, offset, count, self.queue, self.layered, filtered=self._layers,
-            lean=self._lean_layers)
+            graph, scene, self.paths, offset, count, self.queue, self.layered, filtered=has_layers(scene),
+            lean=self._lean_layers, through=True)
 
     def _record_materials(
         self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
@@ -337,7 +338,7 @@ class RadianceCachePass:
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
                 graph, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
-                filtered=self._layers, lean_layers=self._lean_layers, programs=programs, fog=self._fog)
+                filtered=has_layers(scene), lean_layers=self._lean_layers, programs=programs, fog=self._fog)
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,

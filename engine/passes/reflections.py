@@ -47,6 +47,7 @@ from ...kernels.reflection_types import (
     LOBE_TRANSMISSION,
     ReflectionSamples,
 )
+from ..clear_glass import passes_glass
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..settings import ReflectionSettings
@@ -63,7 +64,7 @@ from .cache_buffers import (
     record_shadow_rays,
     record_sums,
 )
-from .layer_rays import record_hits, record_layers
+from .layer_rays import record_clear_rays, record_hits, record_layers
 from .ray_media import RayMedia, last_of
 from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
@@ -239,7 +240,7 @@ class ReflectionPass:
             if index == 0:
                 record_hits(
                     graph, scene, paths, 0, blocks, self.queue, self.layered, filtered=what.filtered,
-                    lean=what.lean_layers)
+                    lean=what.lean_layers, through=self.lobe == int(LOBE_DIFFUSE))
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
@@ -269,6 +270,12 @@ class ReflectionPass:
     def _record_further(self, graph: FrameGraph, what: RayScene) -> None:
         """Record finding what further segments of the rays under way meet."""
         scene, paths = what.scene, self.paths
+        if self.lobe == int(LOBE_DIFFUSE) and passes_glass(scene):
+            record_clear_rays(graph, scene, paths, self.living, first=False)
+            if what.filtered:
+                record_layers(
+                    graph, scene, paths, 0, self.blocks, self.queue, self.layered, lean=what.lean_layers)
+            return
         if what.filtered and decides_layers(scene):
             trace = (decided_layers.trace_decided_further if is_flat(scene)
                      else decided_instances.trace_all_decided_further)

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light through clear glass in real-time frames: rays of light go on behind it in straight lines.
+
+Without this, glass stops every shadow ray, and rays of probes and of the radiance cache end on it as on something
+white: rooms behind windows are dark, the inside of a glass case is lit by what its panes scatter. Path tracing finds
+such light by chance alone, when a path that glass has bent meets a lamp, and puts right at rest what straight lines get
+wrong: caustics. Through panes, whose two sides undo each other's bend, there is nothing to put right.
+
+At each surface the share that Fresnel's equations leave passes, with the glass's tint; rays that find surfaces pass by
+that chance, and are reflected otherwise: none ends on glass. Which materials are clear is told by
+engine/clear_glass.py. Rays that follow what is seen in glass and mirrors (reflection_chain.py) bend as they should.
+
+Triangles that need a test per hit are looked at after this, along the way since the last reflection. A tint counts for
+rays that such a triangle stops before the glass, too.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .flat_tracing import closest_flat
+from .fresnel import fresnel_dielectric
+from .geometry_math import max_component, transform_point
+from .intersect import MISS, Hit, closest_hit, triangle_material
+from .paths import ENDED, Paths, store_hit
+from .sampling import hash_combine, hashed_unit
+from .types import Scene
+from .wide_loads import load_corner, load_instance
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+# Surfaces of glass that a ray goes through; behind more of them it is dark.
+MOST_SURFACES = wp.constant(16)
+
+# How far behind a surface a ray goes on: so many times the largest coordinate and the distance, some float32 steps.
+STEP = wp.constant(2.0e-6)
+
+CLEAR_STREAM = wp.constant(0x474C0000)
+
+
+@wp.struct
+class ClearWay:
+    """A ray on its way through clear glass."""
+
+    origin: wp.vec3
+    """Where it began, or was reflected last"""
+    direction: wp.vec3
+    hit: Hit
+    """Where it is, at its distance from there"""
+    start: float
+    """Distance from which it looks on"""
+    light: wp.vec3
+    """Share of light that has come through, over the chance that the ray has"""
+    surfaces: int
+    """Met so far"""
+    open: int
+    """1: it looks on"""
+
+
+@wp.func
+def first_way(origin: wp.vec3, direction: wp.vec3) -> ClearWay:
+    """Return the state of a ray that has met nothing."""
+    way = ClearWay()
+    way.origin = origin
+    way.direction = direction
+    way.hit.instance = MISS
+    way.light = wp.vec3(1.0, 1.0, 1.0)
+    way.open = 1
+    return way
+
+
+@wp.func
+def clear_material(scene: Scene, hit: Hit) -> wp.vec4:
+    """Return the tint of a surface and its index of refraction, 0 where it isn't clear glass."""
+    return scene.materials.clear[triangle_material(scene, hit.instance, hit.triangle)]
+
+
+@wp.func
+def glass_normal(scene: Scene, hit: Hit) -> wp.vec3:
+    """Return the normal of a triangle, on either side."""
+    row = load_instance(scene.geometry.instances, hit.instance)
+    p = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 0))
+    q = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 1))
+    r = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 2))
+    return wp.normalize(wp.cross(q - p, r - p))
+
+
+@wp.func
+def take_hit(way: ClearWay, found: Hit) -> ClearWay:
+    """Return a ray's state where it has looked on and found a hit or none, `found.t` from where it has looked."""
+    result = way
+    again = found.instance == way.hit.instance and found.triangle == way.hit.triangle
+    result.hit = found
+    result.hit.t = way.start + found.t
+    result.surfaces = way.surfaces + wp.where(again, 0, 1)
+    p = way.origin + way.direction * result.hit.t
+    size = wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))) + result.hit.t
+    # Twice as far where the last step was lost to rounding.
+    step = wp.where(again, 2.0 * (result.hit.t - way.hit.t), 0.0)
+    result.start = result.hit.t + wp.max(STEP * size, step)
+    # The same surface once more counts once.
+    result.open = wp.where(again, 2, 1)
+    return result
+
+
+@wp.func
+def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
+    """Return a shadow ray's state at a hit: weakened by clear glass, black at anything else."""
+    result = way
+    if way.open == 2:
+        result.open = 1
+        return result
+    material = clear_material(scene, way.hit)
+    if material[3] <= 0.0 or way.surfaces > MOST_SURFACES:
+        result.light = wp.vec3(0.0, 0.0, 0.0)
+        result.open = 0
+        return result
+    cosine = wp.dot(glass_normal(scene, way.hit), way.direction)
+    passing = 1.0 - fresnel_dielectric(cosine, material[3])[0]
+    result.light = wp.cw_mul(way.light, wp.vec3(material[0], material[1], material[2])) * passing
+    if max_component(result.light) <= 0.0:
+        result.open = 0
+    return result
+
+
+@wp.func
+def pass_by_chance(scene: Scene, way: ClearWay, seed: wp.uint32) -> ClearWay:
+    """Return a ray's state at a hit: from clear glass it goes on by chance, behind it or reflected."""
+    result = way
+    if way.open == 2:
+        result.open = 1
+        return result
+    material = clear_material(scene, way.hit)
+    if material[3] <= 0.0 or way.surfaces > MOST_SURFACES:
+        result.open = 0
+        return result
+    normal = glass_normal(scene, way.hit)
+    cosine = wp.dot(normal, way.direction)
+    reflected = fresnel_dielectric(cosine, material[3])[0]
+    through = wp.vec3(material[0], material[1], material[2]) * (1.0 - reflected)
+    chance = max_component(through)
+    if hashed_unit(seed, wp.uint32(way.surfaces)) < chance:
+        result.light = wp.cw_mul(way.light, through) / chance
+        return result
+    result.light = way.light * (reflected / (1.0 - chance))
+    result.origin = way.origin + way.direction * way.hit.t
+    result.direction = way.direction - normal * (2.0 * cosine)
+    result.start = way.start - way.hit.t
+    result.hit.t = 0.0
+    return result
+
+
+@wp.func
+def end_way(paths: Paths, slot: int, way: ClearWay):
+    """Store where a ray has come to, and the last part of its way."""
+    store_hit(paths, slot, way.hit)
+    paths.origin[slot] = way.origin
+    paths.direction[slot] = way.direction
+    paths.throughput[slot] = wp.cw_mul(paths.throughput[slot], way.light)
+
+
+@wp.func
+def ray_chance(paths: Paths, slot: int) -> wp.uint32:
+    """Return the seed of a ray's chances."""
+    return hash_combine(hash_combine(paths.seed[slot], wp.uint32(paths.state[slot] + CLEAR_STREAM)), paths.index[slot])
+
+
+@wp.kernel(cuda_max_registers=64)
+def trace_flat_clear_rays(
+    # In:
+    scene: Scene,
+    first: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Find the closest opaque hit of listed rays, by chance behind clear glass.
+
+    `first` 1: of rays that have ended no hit is left.
+    """
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        i = i + stride
+        if paths_out.state[slot] == ENDED:
+            if first == 1:
+                paths_out.hit[slot] = wp.vec2i(MISS, 0)
+        else:
+            limit = paths_out.t[slot]
+            way = first_way(paths_out.origin[slot], paths_out.direction[slot])
+            while way.open == 1:
+                way = take_hit(way, closest_flat(
+                    scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
+                if way.hit.instance == MISS:
+                    way.open = 0
+                else:
+                    way = pass_by_chance(scene, way, ray_chance(paths_out, slot))
+            end_way(paths_out, slot, way)
+
+
+@wp.kernel(cuda_max_registers=80)
+def trace_clear_rays(
+    # In:
+    scene: Scene,
+    first: int,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Do as trace_flat_clear_rays in scenes where not all is flattened."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        i = i + stride
+        if paths_out.state[slot] == ENDED:
+            if first == 1:
+                paths_out.hit[slot] = wp.vec2i(MISS, 0)
+        else:
+            limit = paths_out.t[slot]
+            way = first_way(paths_out.origin[slot], paths_out.direction[slot])
+            while way.open == 1:
+                way = take_hit(way, closest_hit(
+                    scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
+                if way.hit.instance == MISS:
+                    way.open = 0
+                else:
+                    way = pass_by_chance(scene, way, ray_chance(paths_out, slot))
+            end_way(paths_out, slot, way)
+
+
+@wp.func
+def end_shadow(paths: Paths, slot: int, way: ClearWay):
+    """Weaken a shadow ray's light by what is in its way."""
+    if max_component(way.light) <= 0.0:
+        paths.shadow_distance[slot] = 0.0
+    elif way.surfaces > 1:
+        paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], way.light)
+
+
+@wp.kernel(cuda_max_registers=64)
+def dim_flat_shadows(
+    # In:
+    scene: Scene,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Weaken listed shadow rays by clear glass; the distance of those that anything else blocks becomes 0."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[slot]
+        if distance > 0.0:
+            way = first_way(paths_out.shadow_origin[slot], paths_out.shadow_direction[slot])
+            while way.open == 1:
+                way = take_hit(way, closest_flat(
+                    scene.geometry, way.origin + way.direction * way.start, way.direction, distance - way.start))
+                if way.hit.instance == MISS:
+                    way.open = 0
+                else:
+                    way = dim_at_hit(scene, way)
+            end_shadow(paths_out, slot, way)
+
+
+@wp.kernel(cuda_max_registers=80)
+def dim_shadows(
+    # In:
+    scene: Scene,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Do as dim_flat_shadows in scenes where not all is flattened."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[slot]
+        if distance > 0.0:
+            way = first_way(paths_out.shadow_origin[slot], paths_out.shadow_direction[slot])
+            while way.open == 1:
+                way = take_hit(way, closest_hit(
+                    scene.geometry, way.origin + way.direction * way.start, way.direction, distance - way.start))
+                if way.hit.instance == MISS:
+                    way.open = 0
+                else:
+                    way = dim_at_hit(scene, way)
+            end_shadow(paths_out, slot, way)
