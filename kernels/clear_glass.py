@@ -35,6 +35,10 @@ MOST_SURFACES = wp.constant(16)
 # How far behind a surface a ray goes on: so many times the largest coordinate and the distance, some float32 steps.
 STEP = wp.constant(2.0e-6)
 
+# Squared length that direction and straight way are apart after a piece of glass from which on it hardly counts: light
+# that a ball or a lens has bent is elsewhere, as a caustic.
+BEND_MAX = wp.constant(0.09)
+
 CLEAR_STREAM = wp.constant(0x474C0000)
 
 
@@ -45,6 +49,8 @@ class ClearWay:
     origin: wp.vec3
     """Where it began, or was reflected last"""
     direction: wp.vec3
+    bent: wp.vec3
+    """Direction that refraction would have given it; of shadow rays"""
     hit: Hit
     """Where it is, at its distance from there"""
     start: float
@@ -63,6 +69,7 @@ def first_way(origin: wp.vec3, direction: wp.vec3) -> ClearWay:
     way = ClearWay()
     way.origin = origin
     way.direction = direction
+    way.bent = direction
     way.hit.instance = MISS
     way.light = wp.vec3(1.0, 1.0, 1.0)
     way.open = 1
@@ -77,12 +84,12 @@ def clear_material(scene: Scene, hit: Hit) -> wp.vec4:
 
 @wp.func
 def glass_normal(scene: Scene, hit: Hit) -> wp.vec3:
-    """Return the normal of a triangle, on either side."""
+    """Return the normal of a triangle, outwards."""
     row = load_instance(scene.geometry.instances, hit.instance)
     p = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 0))
     q = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 1))
     r = transform_point(row.to_world, load_corner(scene.geometry, hit.triangle, 2))
-    return wp.normalize(wp.cross(q - p, r - p))
+    return wp.normalize(wp.cross(q - p, r - p)) * wp.where(row.flipped == 1, -1.0, 1.0)
 
 
 @wp.func
@@ -104,6 +111,17 @@ def take_hit(way: ClearWay, found: Hit) -> ClearWay:
 
 
 @wp.func
+def bend(direction: wp.vec3, normal: wp.vec3, ior: float) -> wp.vec3:
+    """Return a direction that a surface has refracted; the one reflected where it can't get out."""
+    cosine = wp.dot(direction, normal)
+    eta = wp.where(cosine < 0.0, 1.0 / ior, ior)
+    below = 1.0 - eta * eta * (1.0 - cosine * cosine)
+    if below <= 0.0:
+        return direction - normal * (2.0 * cosine)
+    return direction * eta + normal * (wp.sign(cosine) * wp.sqrt(below) - eta * cosine)
+
+
+@wp.func
 def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
     """Return a shadow ray's state at a hit: weakened by clear glass, black at anything else."""
     result = way
@@ -115,8 +133,13 @@ def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
         result.light = wp.vec3(0.0, 0.0, 0.0)
         result.open = 0
         return result
-    cosine = wp.dot(glass_normal(scene, way.hit), way.direction)
+    normal = glass_normal(scene, way.hit)
+    cosine = wp.dot(normal, way.direction)
     passing = 1.0 - fresnel_dielectric(cosine, material[3])[0]
+    result.bent = bend(way.bent, normal, material[3])
+    if cosine > 0.0:
+        # It leaves the glass.
+        passing = passing * wp.exp(-wp.length_sq(result.bent - way.direction) / BEND_MAX)
     result.light = wp.cw_mul(way.light, wp.vec3(material[0], material[1], material[2])) * passing
     if max_component(result.light) <= 0.0:
         result.open = 0
