@@ -22,9 +22,11 @@ from .flat_tracing import closest_flat
 from .fresnel import fresnel_dielectric
 from .geometry_math import max_component, transform_point
 from .intersect import MISS, Hit, closest_hit, triangle_material
-from .paths import ENDED, Paths, store_hit
+from .paths import Paths, store_hit
 from .sampling import hash_combine, hashed_unit
-from .types import Scene
+from .types import Geometry, Scene
+from .wide_bvh import any_face_wide
+from .wide_instances import any_face_in_instances
 from .wide_loads import load_corner, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -77,9 +79,15 @@ def first_way(origin: wp.vec3, direction: wp.vec3) -> ClearWay:
 
 
 @wp.func
+def clear_triangle(scene: Scene, instance: int, triangle: int) -> wp.vec4:
+    """Return the tint of a triangle and its index of refraction, 0 where it isn't clear glass."""
+    return scene.materials.clear[triangle_material(scene, instance, triangle)]
+
+
+@wp.func
 def clear_material(scene: Scene, hit: Hit) -> wp.vec4:
-    """Return the tint of a surface and its index of refraction, 0 where it isn't clear glass."""
-    return scene.materials.clear[triangle_material(scene, hit.instance, hit.triangle)]
+    """Return clear_triangle of a hit."""
+    return clear_triangle(scene, hit.instance, hit.triangle)
 
 
 @wp.func
@@ -188,133 +196,107 @@ def ray_chance(paths: Paths, slot: int) -> wp.uint32:
     return hash_combine(hash_combine(paths.seed[slot], wp.uint32(paths.state[slot] + CLEAR_STREAM)), paths.index[slot])
 
 
-@wp.kernel(cuda_max_registers=64)
-def trace_flat_clear_rays(
-    # In:
-    scene: Scene,
-    first: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-):
-    """Find the closest opaque hit of listed rays, by chance behind clear glass.
-
-    `first` 1: of rays that have ended no hit is left.
-    """
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        if paths_out.state[slot] == ENDED:
-            if first == 1:
-                paths_out.hit[slot] = wp.vec2i(MISS, 0)
+@wp.func
+def follow_flat(scene: Scene, paths: Paths, slot: int):
+    """Find the closest opaque hit of a ray, by chance behind clear glass or reflected from it."""
+    limit = paths.t[slot]
+    way = first_way(paths.origin[slot], paths.direction[slot])
+    while way.open == 1:
+        way = take_hit(way, closest_flat(
+            scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
+        if way.hit.instance == MISS:
+            way.open = 0
         else:
-            limit = paths_out.t[slot]
-            way = first_way(paths_out.origin[slot], paths_out.direction[slot])
-            while way.open == 1:
-                way = take_hit(way, closest_flat(
-                    scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
-                if way.hit.instance == MISS:
-                    way.open = 0
-                else:
-                    way = pass_by_chance(scene, way, ray_chance(paths_out, slot))
-            end_way(paths_out, slot, way)
-
-
-@wp.kernel(cuda_max_registers=80)
-def trace_clear_rays(
-    # In:
-    scene: Scene,
-    first: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-):
-    """Do as trace_flat_clear_rays in scenes where not all is flattened."""
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        if paths_out.state[slot] == ENDED:
-            if first == 1:
-                paths_out.hit[slot] = wp.vec2i(MISS, 0)
-        else:
-            limit = paths_out.t[slot]
-            way = first_way(paths_out.origin[slot], paths_out.direction[slot])
-            while way.open == 1:
-                way = take_hit(way, closest_hit(
-                    scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
-                if way.hit.instance == MISS:
-                    way.open = 0
-                else:
-                    way = pass_by_chance(scene, way, ray_chance(paths_out, slot))
-            end_way(paths_out, slot, way)
+            way = pass_by_chance(scene, way, ray_chance(paths, slot))
+    end_way(paths, slot, way)
 
 
 @wp.func
-def end_shadow(paths: Paths, slot: int, way: ClearWay):
-    """Weaken a shadow ray's light by what is in its way."""
-    if max_component(way.light) <= 0.0:
+def follow_all(scene: Scene, paths: Paths, slot: int):
+    """Do as follow_flat in scenes where not all is flattened."""
+    limit = paths.t[slot]
+    way = first_way(paths.origin[slot], paths.direction[slot])
+    while way.open == 1:
+        way = take_hit(way, closest_hit(
+            scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
+        if way.hit.instance == MISS:
+            way.open = 0
+        else:
+            way = pass_by_chance(scene, way, ray_chance(paths, slot))
+    end_way(paths, slot, way)
+
+
+@wp.func
+def flat_blocker(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, distance: float) -> wp.vec2i:
+    """Return (instance, triangle) of any flattened opaque triangle before a distance; -1 where there is none."""
+    face = int(-1)
+    if geometry.flat.nodes.shape[0] > 0:
+        face = any_face_wide(geometry.flat.nodes, geometry.flat.triangles, origin, direction, distance)
+    if face < 0:
+        return wp.vec2i(-1, -1)
+    return geometry.flat.faces[face]
+
+
+@wp.func
+def any_blocker(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, distance: float) -> wp.vec2i:
+    """Do as flat_blocker in scenes where not all is flattened."""
+    found = flat_blocker(geometry, origin, direction, distance)
+    if found[0] < 0:
+        other = any_face_in_instances(
+            geometry.instanced.nodes, geometry.instanced.records, origin, direction, distance)
+        if other[0] >= 0:
+            found = wp.vec2i(other[1], geometry.mesh_faces[other[0]])
+    return found
+
+
+@wp.func
+def dim_flat(scene: Scene, paths: Paths, slot: int, distance: float):
+    """Weaken a shadow ray by clear glass; its distance becomes 0 where anything opaque blocks it.
+
+    What it meets first, wherever that lies, tells most of them whether they have to look on.
+    """
+    origin = paths.shadow_origin[slot]
+    direction = paths.shadow_direction[slot]
+    face = flat_blocker(scene.geometry, origin, direction, distance)
+    if face[0] < 0:
+        return
+    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
         paths.shadow_distance[slot] = 0.0
-    elif way.surfaces > 1:
+        return
+    way = first_way(origin, direction)
+    while way.open == 1:
+        way = take_hit(way, closest_flat(
+            scene.geometry, origin + direction * way.start, direction, distance - way.start))
+        if way.hit.instance == MISS:
+            way.open = 0
+        else:
+            way = dim_at_hit(scene, way)
+    if max_component(way.light) > 0.0:
         paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], way.light)
+    else:
+        paths.shadow_distance[slot] = 0.0
 
 
-@wp.kernel(cuda_max_registers=64)
-def dim_flat_shadows(
-    # In:
-    scene: Scene,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-):
-    """Weaken listed shadow rays by clear glass; the distance of those that anything else blocks becomes 0."""
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        distance = paths_out.shadow_distance[slot]
-        if distance > 0.0:
-            way = first_way(paths_out.shadow_origin[slot], paths_out.shadow_direction[slot])
-            while way.open == 1:
-                way = take_hit(way, closest_flat(
-                    scene.geometry, way.origin + way.direction * way.start, way.direction, distance - way.start))
-                if way.hit.instance == MISS:
-                    way.open = 0
-                else:
-                    way = dim_at_hit(scene, way)
-            end_shadow(paths_out, slot, way)
-
-
-@wp.kernel(cuda_max_registers=80)
-def dim_shadows(
-    # In:
-    scene: Scene,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-):
-    """Do as dim_flat_shadows in scenes where not all is flattened."""
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        distance = paths_out.shadow_distance[slot]
-        if distance > 0.0:
-            way = first_way(paths_out.shadow_origin[slot], paths_out.shadow_direction[slot])
-            while way.open == 1:
-                way = take_hit(way, closest_hit(
-                    scene.geometry, way.origin + way.direction * way.start, way.direction, distance - way.start))
-                if way.hit.instance == MISS:
-                    way.open = 0
-                else:
-                    way = dim_at_hit(scene, way)
-            end_shadow(paths_out, slot, way)
+@wp.func
+def dim_all(scene: Scene, paths: Paths, slot: int, distance: float):
+    """Do as dim_flat in scenes where not all is flattened."""
+    origin = paths.shadow_origin[slot]
+    direction = paths.shadow_direction[slot]
+    face = any_blocker(scene.geometry, origin, direction, distance)
+    if face[0] < 0:
+        return
+    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
+        paths.shadow_distance[slot] = 0.0
+        return
+    way = first_way(origin, direction)
+    while way.open == 1:
+        way = take_hit(way, closest_hit(
+            scene.geometry, origin + direction * way.start, direction, distance - way.start))
+        if way.hit.instance == MISS:
+            way.open = 0
+        else:
+            way = dim_at_hit(scene, way)
+    if max_component(way.light) > 0.0:
+        paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], way.light)
+    else:
+        paths.shadow_distance[slot] = 0.0

@@ -94,6 +94,14 @@ def any_wide(
     ...
 
 
+@wp.func_native(query_source("return KEY;", "-1"))
+def any_face_wide(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> int:
+    """Return the face of any triangle that lies closer than t_max; -1 where none does."""
+    ...
+
+
 @wp.func_native(with_blocks("""
 LEAST_AND_MOST
 RAY

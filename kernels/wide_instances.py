@@ -134,6 +134,15 @@ def any_in_instances(
 
 
 @wp.func_native(_source(
+    "return wp::vec_t<2, wp::int32>(KEY, instance);", *2 * ("wp::vec_t<2, wp::int32>(-1, -1)",)))
+def any_face_in_instances(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec2i:
+    """Return face, with what its instance adds, and instance of any triangle closer than t_max; -1 where none is."""
+    ...
+
+
+@wp.func_native(_source(
     _with_instance(CLOSEST_LAYER), _hit(*_FOUND), _hit(*_NONE), postponing=True, key=_LAYER_KEY))
 def closest_layer_in_instances(
     nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,

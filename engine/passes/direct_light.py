@@ -34,7 +34,7 @@ from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import decides_layers, is_flat
-from ..work_list import every, make_queue, make_work_list, one_number
+from ..work_list import make_queue, make_work_list, one_number
 from .layer_rays import record_clear_shadows, record_shadow_layers
 
 __all__ = ["DirectLightPass", "has_lights"]
@@ -179,7 +179,7 @@ class DirectLightPass:
         with graph.section("Direct shadows"):
             if fog is not None:
                 graph.launch(fog_rays.dim_shadow_rays, self.slots, [scene, fog, 0], [self.rays])
-            between = record_clear_shadows(graph, scene, self.rays, every(self.queue))
+            between = record_clear_shadows(graph, scene, self.rays, self.slots)
             if between is scene and not (filtered and decides_layers(scene)):
                 trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
                 graph.launch(trace, self.slots, [scene], [self.rays])

@@ -34,7 +34,7 @@ from ..frame_graph import FrameGraph
 from ..history import History, copy_struct
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import decides_layers, is_flat
-from ..work_list import every, make_queue, make_work_list, one_number
+from ..work_list import make_queue, make_work_list, one_number
 from .cache_spreading import LightPhase
 from .layer_rays import record_clear_shadows, record_shadow_layers
 
@@ -167,7 +167,7 @@ class FogPass:
         """Record finding what becomes of the light of the samples."""
         slots = self.froxels + self.cells
         graph.launch(fog_rays.dim_shadow_rays, slots, [scene, fog, 0], [rays])
-        between = record_clear_shadows(graph, scene, rays, every(self._queue))
+        between = record_clear_shadows(graph, scene, rays, slots)
         if between is scene and not (filtered and decides_layers(scene)):
             trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
             graph.launch(trace, slots, [scene], [rays])

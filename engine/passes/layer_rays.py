@@ -7,7 +7,7 @@ import warp as wp
 
 from ...kernels import (
     cache_rays,
-    clear_glass,
+    clear_tracing,
     compaction,
     decided_instances,
     decided_layers,
@@ -24,30 +24,21 @@ from ..clear_glass import passes_glass
 from ..frame_graph import FrameGraph
 from ..shadow_rays import make_options
 from ..structures import decides_layers, is_flat, without_opaque
-from ..work_list import WorkList, every, one_number
+from ..work_list import WorkList, one_number
 
-__all__ = ["record_clear_rays", "record_clear_shadows", "record_hits", "record_layers", "record_shadow_layers"]
+__all__ = ["record_clear_shadows", "record_hits", "record_layers", "record_shadow_layers"]
 
 
-def record_clear_shadows(graph: FrameGraph, scene: Scene, paths: Paths, under_way: WorkList) -> Scene:
-    """Record weakening listed shadow rays by the clear glass in their way, where there is any.
+def record_clear_shadows(graph: FrameGraph, scene: Scene, rays: Paths, count: int) -> Scene:
+    """Record weakening `count` shadow rays by the clear glass in their way, where there is any.
 
     Returns the scene among which to look for what else is in their way: opaque triangles have been then.
     """
     if not passes_glass(scene):
         return scene
-    dim = clear_glass.dim_flat_shadows if is_flat(scene) else clear_glass.dim_shadows
-    graph.launch_listed(dim, [scene], under_way, [paths])
+    dim = clear_tracing.dim_flat_shadows if is_flat(scene) else clear_tracing.dim_shadows
+    graph.launch(dim, count, [scene], [rays])
     return without_opaque(scene)
-
-
-def record_clear_rays(graph: FrameGraph, scene: Scene, paths: Paths, rays: WorkList, *, first: bool) -> None:
-    """Record finding what listed rays meet among opaque triangles, by chance behind clear glass.
-
-    `first`: of rays that have ended no hit is left.
-    """
-    trace = clear_glass.trace_flat_clear_rays if is_flat(scene) else clear_glass.trace_clear_rays
-    graph.launch_listed(trace, [scene, int(first)], rays, [paths])
 
 
 def record_hits(
@@ -59,12 +50,14 @@ def record_hits(
     `filtered`: whether any triangle needs a test; `through`: whether they go on behind clear glass; else as
     record_layers.
     """
+    decided = filtered and decides_layers(scene)
     if through and passes_glass(scene):
-        record_clear_rays(graph, scene, paths, every(queue[offset : offset + count]), first=True)
-        if filtered:
+        trace = clear_tracing.trace_flat_clear_rays if is_flat(scene) else clear_tracing.trace_clear_rays
+        graph.launch(trace, count, [scene, offset, int(decided)], [paths])
+        if filtered and not decided:
             record_layers(graph, scene, paths, offset, count, queue, layered, lean=lean)
         return
-    if filtered and decides_layers(scene):
+    if decided:
         graph.launch(
             decided_layers.trace_decided_rays if is_flat(scene) else decided_instances.trace_all_decided_rays, count,
             [scene, offset], [paths])

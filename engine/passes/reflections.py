@@ -12,6 +12,7 @@ import warp as wp
 
 from ...kernels import (
     cache_cells,
+    clear_tracing,
     compaction,
     decided_instances,
     decided_layers,
@@ -64,7 +65,7 @@ from .cache_buffers import (
     record_shadow_rays,
     record_sums,
 )
-from .layer_rays import record_clear_rays, record_hits, record_layers
+from .layer_rays import record_hits, record_layers
 from .ray_media import RayMedia, last_of
 from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
@@ -271,8 +272,10 @@ class ReflectionPass:
         """Record finding what further segments of the rays under way meet."""
         scene, paths = what.scene, self.paths
         if self.lobe == int(LOBE_DIFFUSE) and passes_glass(scene):
-            record_clear_rays(graph, scene, paths, self.living, first=False)
-            if what.filtered:
+            decided = what.filtered and decides_layers(scene)
+            further = clear_tracing.trace_flat_clear_further if is_flat(scene) else clear_tracing.trace_clear_further
+            graph.launch_listed(further, [scene, int(decided)], self.living, [paths], few=True)
+            if what.filtered and not decided:
                 record_layers(
                     graph, scene, paths, 0, self.blocks, self.queue, self.layered, lean=what.lean_layers)
             return
