@@ -32,7 +32,7 @@ from .wide_loads import load_corner, load_instance
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Surfaces of glass that a ray goes through; behind more of them it is dark.
-MOST_SURFACES = wp.constant(16)
+MOST_SURFACES = wp.constant(8)
 
 # How far behind a surface a ray goes on: so many times the largest coordinate and the distance, some float32 steps.
 STEP = wp.constant(2.0e-6)
