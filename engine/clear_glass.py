@@ -19,7 +19,7 @@ from .program import Program
 from .scene import MaterialData
 from .settings import DirectLightSettings
 
-__all__ = ["clear_glass", "light_scene", "passes_glass"]
+__all__ = ["clear_glass", "light_scene", "passes_glass", "path_scene"]
 
 ROUGHNESS_MAX = 0.3
 """Glass that is rougher spreads light instead"""
@@ -29,7 +29,11 @@ TRANSMISSION_MIN = 0.95
 
 
 def clear_glass(data: MaterialData) -> tuple[float, float, float, float]:
-    """Return the tint of light that passes a surface of a material, and its index; index 0: it isn't clear glass."""
+    """Return the tint of light that passes a surface of a material, and its index.
+
+    The index is 0 where it isn't clear glass, and negative where paths don't share light behind it
+    (kernels/clear_paths.py): it is not smooth, or reflects otherwise than by Fresnel's equations alone.
+    """
     none = (0.0, 0.0, 0.0, 0.0)
     code = data.program.surface
     sinks = [at for at, (head, *_) in enumerate(code) if head & 255 in (codes.OP_CLOSURE, codes.OP_HOLDOUT)]
@@ -43,18 +47,24 @@ def clear_glass(data: MaterialData) -> tuple[float, float, float, float]:
     if color is None:
         return none
     kind, ior = code[sinks[0]][0] >> 16 & 255, read.number(codes.ARG_IOR, 1.5)
+    smooth = read.constant(codes.ARG_NORMAL) is not None and read.number(codes.ARG_ROUGHNESS, 1.0) == 0.0
+    ior = max(ior, 1.0e-3) * (1.0 if smooth else -1.0)
     if kind == kernel_types.CLOSURE_PRINCIPLED:
         share = read.number(codes.ARG_TRANSMISSION, 0.0) * (1.0 - read.number(codes.ARG_METALLIC, 1.0))
         if share < TRANSMISSION_MIN or read.number(codes.ARG_COAT, 1.0) > 0.0:
             return none
-        # A slab, with its two surfaces, has the colour; a thin wall is one surface.
-        sheet = read.number(codes.ARG_THIN_WALL, 0.0) != 0.0
-        return *(share * c if sheet else share * c**0.5 for c in color), max(ior, 1.0e-3)
+        if read.number(codes.ARG_THIN_WALL, 0.0) != 0.0:
+            # One surface, which bends nothing; with what two reflect of light from straight ahead.
+            reflected = ((abs(ior) - 1.0) / (abs(ior) + 1.0)) ** 2
+            return *(share * c * (1.0 - reflected) / (1.0 + reflected) for c in color), -1.0
+        # A slab, with its two surfaces, has the colour.
+        plain = share == 1.0 and read.constant(codes.ARG_SPECULAR_TINT)[:3] == (1.0, 1.0, 1.0)
+        return *(share * c**0.5 for c in color), ior if plain else -abs(ior)
     if kind == kernel_types.CLOSURE_GLASS:
-        return *color, max(ior, 1.0e-3)
+        return *color, ior
     if kind == kernel_types.CLOSURE_REFRACTION:
         # Reflects nothing.
-        return *color, 1.0
+        return *color, -1.0
     return none
 
 
@@ -93,6 +103,22 @@ def light_scene(scene: Scene, settings: DirectLightSettings) -> Scene:
     """Return the scene as rays of real-time frames meet it: without clear glass where settings leave it out."""
     if settings.clear_glass or not passes_glass(scene):
         return scene
+    return without_clear_glass(scene)
+
+
+def path_scene(scene: Scene, *, plain: bool) -> Scene:
+    """Return the scene as the path tracer meets it: with light samples through panes.
+
+    Not where paths keep more than their light (`plain` False: media, passes of light, shadow catchers), nor where
+    lights are linked.
+    """
+    if not passes_glass(scene) or (plain and scene.lights.linked == 0):
+        return scene
+    return without_clear_glass(scene)
+
+
+def without_clear_glass(scene: Scene) -> Scene:
+    """Return a scene without any clear glass."""
     changed, materials = copy_struct(scene), copy_struct(scene.materials)
     materials.clear = wp.empty(0, dtype=wp.vec4, device=scene.materials.clear.device)
     # Structs hold copies of those in them.

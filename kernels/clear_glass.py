@@ -61,8 +61,10 @@ class ClearWay:
     """Share of light that has come through, over the chance that the ray has"""
     surfaces: int
     """Met so far"""
+    inside: int
+    """1: in glass; of paths' shadow rays"""
     open: int
-    """1: it looks on"""
+    """1: it looks on, 2: it has met the same surface again"""
 
 
 @wp.func
@@ -80,7 +82,7 @@ def first_way(origin: wp.vec3, direction: wp.vec3) -> ClearWay:
 
 @wp.func
 def clear_triangle(scene: Scene, instance: int, triangle: int) -> wp.vec4:
-    """Return the tint of a triangle and its index of refraction, 0 where it isn't clear glass."""
+    """Return the tint of a triangle and its index of refraction, 0 where it isn't clear glass; see Materials.clear."""
     return scene.materials.clear[triangle_material(scene, instance, triangle)]
 
 
@@ -137,14 +139,15 @@ def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
         result.open = 1
         return result
     material = clear_material(scene, way.hit)
-    if material[3] <= 0.0 or way.surfaces > MOST_SURFACES:
+    if material[3] == 0.0 or way.surfaces > MOST_SURFACES:
         result.light = wp.vec3(0.0, 0.0, 0.0)
         result.open = 0
         return result
     normal = glass_normal(scene, way.hit)
     cosine = wp.dot(normal, way.direction)
-    passing = 1.0 - fresnel_dielectric(cosine, material[3])[0]
-    result.bent = bend(way.bent, normal, material[3])
+    ior = wp.abs(material[3])
+    passing = 1.0 - fresnel_dielectric(cosine, ior)[0]
+    result.bent = bend(way.bent, normal, ior)
     if cosine > 0.0:
         # It leaves the glass.
         passing = passing * wp.exp(-wp.length_sq(result.bent - way.direction) / BEND_MAX)
@@ -162,12 +165,14 @@ def pass_by_chance(scene: Scene, way: ClearWay, seed: wp.uint32) -> ClearWay:
         result.open = 1
         return result
     material = clear_material(scene, way.hit)
-    if material[3] <= 0.0 or way.surfaces > MOST_SURFACES:
+    if material[3] == 0.0 or way.surfaces > MOST_SURFACES:
         result.open = 0
+        if material[3] != 0.0:
+            result.light = wp.vec3(0.0, 0.0, 0.0)
         return result
     normal = glass_normal(scene, way.hit)
     cosine = wp.dot(normal, way.direction)
-    reflected = fresnel_dielectric(cosine, material[3])[0]
+    reflected = fresnel_dielectric(cosine, wp.abs(material[3]))[0]
     through = wp.vec3(material[0], material[1], material[2]) * (1.0 - reflected)
     chance = max_component(through)
     if hashed_unit(seed, wp.uint32(way.surfaces)) < chance:
@@ -260,7 +265,7 @@ def dim_flat(scene: Scene, paths: Paths, slot: int, distance: float):
     face = flat_blocker(scene.geometry, origin, direction, distance)
     if face[0] < 0:
         return
-    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
+    if clear_triangle(scene, face[0], face[1])[3] == 0.0:
         paths.shadow_distance[slot] = 0.0
         return
     way = first_way(origin, direction)
@@ -285,7 +290,7 @@ def dim_all(scene: Scene, paths: Paths, slot: int, distance: float):
     face = any_blocker(scene.geometry, origin, direction, distance)
     if face[0] < 0:
         return
-    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
+    if clear_triangle(scene, face[0], face[1])[3] == 0.0:
         paths.shadow_distance[slot] = 0.0
         return
     way = first_way(origin, direction)

@@ -7,6 +7,7 @@ import warp as wp
 
 from .cache_rays import finish_cache_shadow
 from .clear_glass import dim_all, dim_flat, follow_all, follow_flat
+from .clear_paths import dim_path_all, dim_path_flat
 from .decided_instances import meet_all_layers
 from .decided_layers import meet_layers
 from .intersect import MISS
@@ -177,3 +178,43 @@ def dim_cache_shadows(
             dim_all(scene, paths_out, slot, distance)
         if distance != 0.0:
             finish_cache_shadow(paths_out, slot, paths_out.shadow_distance[slot] == 0.0, filtered)
+
+
+@wp.kernel(cuda_max_registers=64)
+def dim_flat_path_shadows(
+    # In:
+    scene: Scene,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Weaken listed shadow rays of the path tracer by panes, and end those that anything else opaque blocks."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[path]
+        if distance > 0.0:
+            dim_path_flat(scene, paths_out, path, distance)
+
+
+@wp.kernel(cuda_max_registers=80)
+def dim_path_shadows(
+    # In:
+    scene: Scene,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Do as dim_flat_path_shadows in scenes where not all is flattened."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        distance = paths_out.shadow_distance[path]
+        if distance > 0.0:
+            dim_path_all(scene, paths_out, path, distance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .clear_paths import pane_length
 from .environment_table import environment_pdf
 from .geometry_math import power_heuristic
 from .intersect import MISS, may_emit, triangle_material
@@ -23,20 +24,23 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 @wp.func
 def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
     """Add the lamps that the ray meets before its hit; lamps hide nothing."""
-    origin = paths.origin[path]
     direction = paths.direction[path]
     bounce = paths.state[path]
     pdf = paths.pdf[path]
     t_max = paths.t[path]
     if paths.hit[path][0] == MISS:
         t_max = FAR
+    # What lies before the panes has been met by then.
+    before = pane_length(scene, paths, path)
+    origin = paths.origin[path] - direction * before
+    t_max = t_max + before
     for i in range(scene.lights.lamp_count):
         flags = scene.lights.lamps[i].flags
         visibility = scene.lights.lamps[i].visibility
         if (flags & LIGHT_HITTABLE) != 0 and (visibility & paths.kind[path]) != 0 and met_by_rays(
                 scene, visibility, pdf):
             hit = meet_lamp(scene.lights, i, origin, direction, t_max)
-            if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
+            if hit.t > before and lamp_counts(scene, visibility, bounce, paths, path):
                 weight = float(1.0)
                 if pdf > 0.0:
                     weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .clear_paths import pane_length, pass_pane
 from .geometry_math import is_finite3, max_component, normalize_or, power_heuristic
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
@@ -189,9 +190,10 @@ def add_emission(scene: Scene, options: Options, point: ShadingPoint, emission: 
     weight = float(1.0)
     pdf = paths.pdf[path]
     if pdf > 0.0:
+        before = pane_length(scene, paths, path)
         light_pdf = emitter_pdf(
-            scene, point.instance, point.triangle, paths.origin[path], paths.side[path], paths.direction[path],
-            point.ray_length)
+            scene, point.instance, point.triangle, paths.origin[path] - paths.direction[path] * before,
+            paths.side[path], paths.direction[path], point.ray_length + before)
         weight = power_heuristic(pdf, light_pdf)
         if light_pdf > 0.0 and not met_by_rays(scene, scene.geometry.instances[point.instance].visibility, pdf):
             return
@@ -270,7 +272,9 @@ def sample_direct_light(
 
 
 @wp.func
-def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int):
+def continue_path(
+    scene: Scene, point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Paths, path: int,
+):
     """Set up the next ray, or leave the path ended."""
     bounce = point.ray_depth
     weight = sample.weight
@@ -285,8 +289,15 @@ def continue_path(point: ShadingPoint, bsdf: Bsdf, sample: BsdfSample, paths: Pa
     paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
     paths.direction[path] = sample.wi
     paths.t[path] = FAR
-    paths.pdf[path] = wp.where(sample.delta == 1, 0.0, sample.pdf)
-    paths.side[path] = front_of(bsdf)
+    pdf = wp.where(sample.delta == 1, 0.0, sample.pdf)
+    if scene.materials.clear.shape[0] > 0:
+        if sample.delta == 1:
+            pdf = pass_pane(scene, point, bsdf, sample, paths, path)
+        else:
+            paths.clear_way[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if sample.delta == 0 or pdf == 0.0:
+        paths.side[path] = front_of(bsdf)
+    paths.pdf[path] = pdf
     paths.kind[path] = deeper(point.ray_visibility, sample.kind)
     # The cone is not widened by the lobe: blurring over it would average in parts of a texture atlas that the
     # surface does not show, and flatten normal maps.
@@ -341,4 +352,4 @@ def shade_hit(
     choice = sample_number(seed, index, dimension + DIMENSION_LOBE)
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
     note_receiver(scene, point.instance, paths, path)
-    continue_path(point, bsdf, sample, paths, path)
+    continue_path(scene, point, bsdf, sample, paths, path)

@@ -86,6 +86,9 @@ class Paths:
     """VISIBLE_* bit of the ray; of the path tracer's also the numbers of depth_place"""
     receiver: wp.array[int]
     """Instance that the ray has left; written and read where lights are linked alone (light_linking.py)"""
+    clear_way: wp.array[wp.vec4]
+    """Where the scene has clear glass: direction in which a path has come to the glass that it is in, and how far back,
+    through such glass, the surface is that it has left (clear_paths.py)"""
     cone: wp.array[wp.vec2]
     """Width [m] at the origin, spread [rad]"""
     layer_t: wp.array[float]

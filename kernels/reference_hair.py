@@ -122,7 +122,7 @@ def shade_hair(frame: FrameData, scene: Scene, options: Options, point: ShadingP
     u = sample_pair(paths.seed[path], paths.index[path], dimension + DIMENSION_BSDF)
     choice = sample_number(paths.seed[path], paths.index[path], dimension + DIMENSION_LOBE)
     note_receiver(scene, point.instance, paths, path)
-    continue_path(point, bsdf, sample_hair(lobes, u, choice), paths, path)
+    continue_path(scene, point, bsdf, sample_hair(lobes, u, choice), paths, path)
     leave_hair(scene, point, paths, path)
 
 

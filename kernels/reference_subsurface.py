@@ -60,7 +60,7 @@ def shade_scattering(
     # The odds that are left sum to what is left of the number's range.
     sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0] - split.odds, u[1], choice))
     note_receiver(scene, point.instance, paths, path)
-    continue_path(point, bsdf, sample, paths, path)
+    continue_path(scene, point, bsdf, sample, paths, path)
     return False
 
 
@@ -146,6 +146,6 @@ def shade_exits(
         dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
         u = sample_pair(paths_out.seed[path], paths_out.index[path], dimension + DIMENSION_BSDF)
         note_receiver(scene, point.instance, paths_out, path)
-        continue_path(point, bsdf, sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], 0.0)), paths_out, path)
+        continue_path(scene, point, bsdf, sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], 0.0)), paths_out, path)
         if paths_out.state[path] != ENDED:
             queue_out[wp.atomic_add(count_out, 0, 1)] = path

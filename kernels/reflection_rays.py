@@ -258,6 +258,6 @@ def kind_through(
     through = kind == VISIBLE_TRANSMISSION and wp.dot(direction, point.wo) < 0.0
     if not through or scene.materials.clear.shape[0] == 0:
         return kind
-    if not comes_straight(paths, slot) or scene.materials.clear[point.material][3] <= 0.0:
+    if not comes_straight(paths, slot) or scene.materials.clear[point.material][3] == 0.0:
         return kind
     return kind | (paths.kind[slot] & VISIBLE_DIFFUSE) | CLEAR_WAY

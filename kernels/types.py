@@ -199,7 +199,7 @@ class Materials:
     instance_materials: wp.array[int]
     """Material per (instance.material_offset + slot)"""
     clear: wp.array[wp.vec4]
-    """Tint and index of each material (clear_glass.py); index 0: not clear. Empty where light stops at all glass"""
+    """Tint and index of each material (clear_glass.py), 0: not clear, below 0: not smooth. Empty: light stops at all"""
     properties: wp.array[wp.vec4]
     """Properties of objects that programs read, of all instances one after another"""
     code: wp.array[wp.vec4i]

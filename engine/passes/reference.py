@@ -35,6 +35,7 @@ from ...kernels.media import Media
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ...kernels.volume_grids import Volumes
+from ..clear_glass import path_scene
 from ..device import launch, run_bands
 from ..report import Report, ReportKind
 from ..structures import is_flat
@@ -55,7 +56,7 @@ CPU_BAND_PATHS = 4096
 CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
-PATH_BYTES = 528
+PATH_BYTES = 544
 """Of one path's states and places in lists, its closure the largest of them"""
 
 MEMORY_SHARE = 0.25
@@ -295,10 +296,8 @@ class ReferencePass:
             target: Samples per pixel that every band shall have.
             should_stop: Polled between launches.
         """
-        while True:
-            low = self.samples_done
-            if low >= target or should_stop():
-                return
+        scene = path_scene(scene, plain=not (self.light or self.media) and self.catchers is None)
+        while (low := self.samples_done) < target and not should_stop():
             buffers.empty = False
             most = min(target - low, 64) if self.cuda else 1
             self.each_band(

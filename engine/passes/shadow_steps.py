@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from ...kernels import (
+    clear_tracing,
     decided_instances,
     decided_layers,
     flat_paths,
@@ -15,7 +18,8 @@ from ...kernels import (
 )
 from ...kernels.paths import Options
 from ...kernels.types import Scene
-from ..structures import decides_layers, is_flat
+from ..clear_glass import passes_glass
+from ..structures import decides_layers, is_flat, without_opaque
 from .wavefront import Step, Wavefront
 
 __all__ = ["shadow_steps"]
@@ -33,17 +37,24 @@ def shadow_steps(
         over: The list.
         layered: List for those that transparent triangles stand in the way of, empty so far.
     """
-    shadows, steps = [scene, options, slot.rounds], []
+    shadows, steps, between = [scene, options, slot.rounds], [], scene
+    if passes_glass(scene):
+        if len(slot.paths.clear_way) < slot.capacity:
+            slot.paths.clear_way = wp.zeros(slot.capacity, dtype=wp.vec4, device=slot.device)
+        dim = clear_tracing.dim_flat_path_shadows if is_flat(scene) else clear_tracing.dim_path_shadows
+        steps.append(Step(dim, [scene], over))
+        between = without_opaque(scene)
+    among = [between, options, slot.rounds]
     if options.filtered == 1 and decides_layers(scene):
         trace = (decided_layers.trace_decided_shadows if is_flat(scene)
                  else decided_instances.trace_all_decided_shadows)
-        steps.append(Step(trace, shadows, over))
+        steps.append(Step(trace, among, over))
     elif is_flat(scene):
-        steps.append(Step(flat_paths.trace_flat_path_shadows, shadows, over, fills=(layered,)))
+        steps.append(Step(flat_paths.trace_flat_path_shadows, among, over, fills=(layered,)))
     else:
-        steps.append(Step(tracing.trace_shadows, shadows, over))
+        steps.append(Step(tracing.trace_shadows, among, over))
         if options.filtered == 1:
-            steps += [Step(tracing.trace_shadow_layers, shadows, over),
+            steps += [Step(tracing.trace_shadow_layers, among, over),
                       Step(path_lists.list_layered_shadows, [slot.paths], over, fills=(layered,), changes=False)]
     if options.filtered == 1 and not decides_layers(scene):
         weaken = shadow_layers_lean.weaken_shadow_rays_lean if options.lean_layers else shadow_layers.weaken_shadow_rays

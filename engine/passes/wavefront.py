@@ -67,6 +67,7 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
         setattr(paths, name, wp.zeros(count, dtype=dtype, device=device))
     for name in ("surface_normal", "surface_position", "surface_uv"):
         setattr(paths, name, wp.zeros(extra, dtype=wp.vec4, device=device))
+    paths.clear_way = wp.zeros(1, dtype=wp.vec4, device=device)
     for name in ("surface_emission", "environment"):
         setattr(paths, name, wp.zeros(extra, dtype=wp.vec3, device=device))
     return paths
