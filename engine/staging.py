@@ -19,11 +19,52 @@ __all__ = ["PictureInbox", "PicturePages", "RowWriter", "StagedRow", "overwrite"
 AHEAD = 2
 """Frames that may be on their way while the host writes the next one"""
 
+HALVES = 2
+"""Of the memory that rows pass through: while what one held is on its way the host writes into the other"""
+
 PAGE_ROWS = 1024
 """Rows of an array that are sent at once"""
 
 NEAR_ROWS = 32
 """Rows that may lie between two that are sent together: a further copy costs more"""
+
+
+class _Outbox:
+    """Memory that rows pass through on their way to the device, PAGE_ROWS at a time, HALVES of it in turn.
+
+    An event for each half, not for each copy: to note and to await one takes as long as the copy's call.
+    """
+
+    def __init__(self, dtype: type, device: str):
+        self._cuda = wp.get_device(device).is_cuda
+        self._page = wp.zeros(PAGE_ROWS * (HALVES if self._cuda else 1), dtype=dtype, device="cpu", pinned=self._cuda)
+        view = self._page.numpy()
+        self._size = view.dtype.itemsize if view.dtype.names else 0
+        # NumPy copies structs field by field.
+        self._view = view.view(np.uint8) if self._size else view
+        self._sent: list[wp.Event | None] = [None] * HALVES
+        self._half = self._used = 0
+
+    def send(self, array: wp.array, values: np.ndarray, start: int) -> None:
+        """Make rows of an array, from `start` on, those of the host, of its type and at most PAGE_ROWS."""
+        count = len(values)
+        place = self._place(count, array) if self._cuda else 0
+        if self._size:
+            self._view[place * self._size : (place + count) * self._size] = values.view(np.uint8)
+        else:
+            self._view[place : place + count] = values
+        wp.copy(array, self._page, start, place, count)
+
+    def _place(self, count: int, array: wp.array) -> int:
+        """Return where in the memory so many rows are free; waits where what lies there has not arrived."""
+        if self._used + count > PAGE_ROWS:
+            self._sent[self._half] = wp.get_stream(array.device).record_event(self._sent[self._half])
+            self._half, self._used = (self._half + 1) % HALVES, 0
+            if self._sent[self._half] is not None:
+                wp.synchronize_event(self._sent[self._half])
+        place = self._half * PAGE_ROWS + self._used
+        self._used += count
+        return place
 
 
 class RowWriter:
@@ -36,37 +77,26 @@ class RowWriter:
             dtype: Warp's type of a row.
             device: Where the arrays are.
         """
-        cuda = wp.get_device(device).is_cuda
-        self._pages = [wp.zeros(PAGE_ROWS, dtype=dtype, device="cpu", pinned=cuda) for _ in range(AHEAD if cuda else 1)]
-        self._views = [page.numpy() for page in self._pages]
-        self._sent: list[wp.Event | None] = [None] * len(self._pages)
-        self._next = 0
+        self._outbox = _Outbox(dtype, device)
 
     def write(self, array: wp.array, values: np.ndarray, chosen: np.ndarray) -> None:
-        """Make rows of an array those of the host; waits only where AHEAD pages have not arrived.
+        """Make rows of an array those of the host; waits only where HALVES pages have not arrived.
 
         Args:
             array: [N], on the device.
-            values: [N, ...], what all of it shall hold.
+            values: [N, ...], what all of it shall hold; structs lie side by side.
             chosen: Ascending, the rows that differ; those between close ones are written too.
         """
         if len(chosen) == 0:
             return
-        gaps = np.flatnonzero(np.diff(chosen) > NEAR_ROWS) + 1
-        starts, ends = chosen[[0, *gaps]].tolist(), (chosen[[*(gaps - 1), -1]] + 1).tolist()
+        if chosen[-1] - chosen[0] <= NEAR_ROWS:
+            starts, ends = [int(chosen[0])], [int(chosen[-1]) + 1]
+        else:
+            gaps = np.flatnonzero(np.diff(chosen) > NEAR_ROWS) + 1
+            starts, ends = chosen[[0, *gaps]].tolist(), (chosen[[*(gaps - 1), -1]] + 1).tolist()
         for first, last in zip(starts, ends, strict=True):
             for start in range(first, last, PAGE_ROWS):
-                self._send(array, values[start : min(start + PAGE_ROWS, last)], start)
-
-    def _send(self, array: wp.array, values: np.ndarray, start: int) -> None:
-        place, sent = self._next, self._sent[self._next]
-        if sent is not None:
-            wp.synchronize_event(sent)
-        self._views[place][: len(values)] = values
-        wp.copy(array, self._pages[place], start, 0, len(values))
-        if array.device.is_cuda:
-            self._sent[place] = wp.get_stream(array.device).record_event(sent)
-            self._next = (place + 1) % len(self._pages)
+                self._outbox.send(array, values[start : min(start + PAGE_ROWS, last)], start)
 
 
 class StagedRow:
@@ -86,7 +116,8 @@ class StagedRow:
         self._pages = [self.array]
         if self.array.device.is_cuda:
             self._pages = [wp.zeros(1, dtype=struct, device="cpu", pinned=True) for _ in range(AHEAD)]
-        self._views = [page.numpy() for page in self._pages]
+        # NumPy copies structs field by field.
+        self._views, self._bytes = [page.numpy().view(np.uint8) for page in self._pages], self.row.view(np.uint8)
         self._sent: list[wp.Event | None] = [None] * len(self._pages)
         self._next = 0
 
@@ -95,7 +126,7 @@ class StagedRow:
         place, sent = self._next, self._sent[self._next]
         if sent is not None:
             wp.synchronize_event(sent)
-        np.copyto(self._views[place], self.row)
+        self._views[place][:] = self._bytes
         if self.array.device.is_cuda:
             wp.copy(self.array, self._pages[place])
             self._sent[place] = wp.get_stream(self.array.device).record_event(sent)

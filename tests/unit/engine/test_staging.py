@@ -77,6 +77,21 @@ def test_chosen_rows_are_written_and_far_ones_are_not(device):
         held = now.copy()
 
 
+def test_rows_that_share_memory_stay_apart(device):
+    """Write structs again and again, few or many at a time, until all memory has been used twice, and wait for none."""
+    writer, rng, count = RowWriter(Row, device), np.random.default_rng(7), PAGE_ROWS + 5
+    array, held = wp.zeros(count, dtype=Row, device=device), np.zeros(count, Row.numpy_dtype())
+    kept, expected = [], []
+    for size in [1, 2, 300] * 15 + [PAGE_ROWS, 1, count]:
+        first = int(rng.integers(count - size + 1))
+        held["number"][first:first + size] = rng.integers(1 << 30, size=size)
+        held["place"][first:first + size] = rng.random((size, 3))
+        writer.write(array, held, np.arange(first, first + size))
+        kept.append(wp.clone(array))
+        expected.append(held.tobytes())
+    assert [each.numpy().tobytes() for each in kept] == expected
+
+
 def test_pictures_last_while_they_are_looked_at(device):
     """Keep each picture as it was read as long as a view of it is held, and use the memory of others again."""
     pages, held = PicturePages(), []
