@@ -18,7 +18,8 @@ from ..kernels.wide_bvh import TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import place_triangles
 from ..kernels.wide_instances import RECORD_WORDS
 from ..kernels.wide_instances_edit import MESH_WORDS, write_boxes, write_records
-from .device import launch
+from .device import launch, record
+from .frame_graph import FrameGraph
 from .staging import RowWriter
 from .wide_bvh import WideBvh, build_forest, build_over, build_wide
 
@@ -47,6 +48,15 @@ class _Area:
         """Add up the boxes, vec3 [N] each."""
         areas = wp.empty(len(lower), dtype=float, device=lower.device)
         launch(write_areas, len(lower), [lower, upper], [areas], lower.device.alias)
+        self._tell(areas)
+
+    def record(self, graph: FrameGraph, lower: wp.array, upper: wp.array) -> None:
+        """Record the same."""
+        areas = wp.empty(len(lower), dtype=float, device=lower.device)
+        graph.launch(write_areas, len(lower), [lower, upper], [areas], banded=False)
+        graph.call(lambda: self._tell(areas))
+
+    def _tell(self, areas: wp.array) -> None:
         wp.utils.array_sum(areas, out=self._sum)
         wp.copy(self._told, self._sum)
 
@@ -154,10 +164,15 @@ class InstanceLevel:
             trees: Of each mesh, and where its faces begin in Geometry.mesh_faces; None: no instance is of it.
             device: Where it is.
         """
-        self.device, self.chosen, self._low, self._high = device, chosen, low, high
+        self.device, self.chosen = device, chosen
+        self._corners = np.stack([low, high], 1).reshape(-1, 3)
+        """float32 [2 * N, 3], lower and upper one of each in turn"""
+        self._bounds = wp.array(self._corners, dtype=wp.vec3, device=device)
         self._writer, self._area = RowWriter(wp.vec3, device), _Area(device)
-        self._lower, self._upper = (wp.array(values, dtype=wp.vec3, device=device) for values in (low, high))
-        nodes, self._items, levels = build_over(self._lower, self._upper)
+        self._fitting: FrameGraph | None = None
+        self._placing: tuple[wp.array, wp.Launch] | None = None
+        nodes, self._items, levels = build_over(
+            *(wp.array(values, dtype=wp.vec3, device=device) for values in (low, high)))
         boxes = wp.zeros(TRIANGLE_WORDS * len(chosen), dtype=wp.uint32, device=device)
         self._wide = WideBvh(nodes, boxes, levels, len(chosen), wp.zeros(0, dtype=int, device=device))
         self._records = wp.zeros(int(RECORD_WORDS) * len(chosen), dtype=wp.uint32, device=device)
@@ -169,23 +184,32 @@ class InstanceLevel:
         self._roots = np.array(
             [(tree[0].root, tree[1] - tree[0].faces) if tree else (0, 0) for tree in trees], np.int64)
         """By mesh, with what is added to a face"""
-        self._places = np.zeros(0, np.uint64)
+        self._places: list[tuple[int, int]] = []
         """Addresses that records have of nodes and triangles"""
         self._meshes = wp.zeros((len(trees), int(MESH_WORDS)), dtype=wp.uint32, device=device)
-        self._fit()
+        launch(write_boxes, len(chosen), [self._items, self._bounds], [boxes], device)
+        self._area.note(*self._wide.refit())
 
     def write_records(self, instances: wp.array) -> None:
         """Take over the transforms of kernels.types.Instance [all], and where trees lie, in place."""
-        places = np.array([(wide.nodes.ptr, wide.triangles.ptr) for wide in self._wides] + [(0, 0)], np.uint64)
-        if not np.array_equal(places, self._places):
+        places = [(wide.nodes.ptr, wide.triangles.ptr) for wide in self._wides] + [(0, 0)]
+        if places != self._places:
             self._places = places
-            places = places[self._wide_of]
+            places = np.array(places, np.uint64)[self._wide_of]
             low, high = (places & np.uint64(0xFFFFFFFF)).astype(np.uint32), (places >> np.uint64(32)).astype(np.uint32)
             # Words 12 to 17 of a record.
             self._meshes.assign(np.column_stack(
                 [low[:, 0], high[:, 0], low[:, 1], high[:, 1], self._roots.astype(np.uint32)]))
-        launch(write_records, len(self.chosen), [self._items, *self._rows, self._meshes, instances], [self._records],
-               self.device)
+        if self._placing is None or self._placing[0] is not instances:
+            self._placing = instances, record(
+                write_records, [self._items, *self._rows, self._meshes, instances], [self._records], self.device,
+                len(self.chosen))
+        self._placing[1].launch()
+
+    def holds(self, instances: np.ndarray) -> np.ndarray:
+        """Return which of some instances, int, are among the chosen: bool."""
+        places = np.minimum(np.searchsorted(self.chosen, instances), len(self.chosen) - 1)
+        return self.chosen[places] == instances
 
     def move(self, moved: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
         """Follow instances to other bounds, in place; return whether that could be done.
@@ -199,17 +223,20 @@ class InstanceLevel:
         """
         if self._area.outgrown:
             return False
-        places = np.searchsorted(self.chosen, moved)
-        for array, values, new in ((self._lower, self._low, low), (self._upper, self._high, high)):
-            values[places] = new
-            self._writer.write(array, values, places)
-        self._fit()
+        places = 2 * np.searchsorted(self.chosen, moved)
+        self._corners[places], self._corners[places + 1] = low, high
+        self._writer.write(self._bounds, self._corners, np.stack([places, places + 1], 1).reshape(-1))
+        self._fitting = self._fitting or self._record_fitting()
+        self._fitting.replay()
         return True
 
-    def _fit(self) -> None:
-        launch(write_boxes, len(self.chosen), [self._items, self._lower, self._upper], [self._wide.triangles],
-               self.device)
-        self._area.note(*self._wide.refit())
+    def _record_fitting(self) -> FrameGraph:
+        """Record what fits all boxes to the bounds: each step of a drag does it again."""
+        graph, wide = FrameGraph(self.device), self._wide
+        graph.launch(
+            write_boxes, len(self.chosen), [self._items, self._bounds], [wide.triangles], banded=False)
+        self._area.record(graph, *wide.record_refit(graph))
+        return graph
 
     def struct(self) -> types.InstanceLevel:
         """Return it as kernels take it: the same after moves."""

@@ -194,7 +194,7 @@ class InstancedMeshes:
     def _move(self, moved: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
         """Follow instances (ascending) to other bounds, in place; return whether all levels could."""
         for level in self._levels():
-            mine = np.isin(moved, level.chosen, assume_unique=True)
+            mine = level.holds(moved)
             if mine.any() and not level.move(moved[mine], low[mine], high[mine]):
                 return False
         return True

@@ -17,6 +17,7 @@ from ..kernels.wide_query import MAX_DEPTH
 from .binary_tree import BinaryTree
 from .device import launch, run_bands, thread_count
 from .errors import InvalidScene
+from .frame_graph import FrameGraph
 from .tree_reinsertion import mend_upper_levels
 from .work_list import make_queue
 
@@ -89,11 +90,25 @@ class WideBvh:
 
     def refit(self) -> tuple[wp.array, wp.array]:
         """Write all boxes anew, in place, for triangles that are elsewhere; return each node's, vec3."""
-        device = self.nodes.device.alias
-        lower, upper = (wp.empty(len(self.nodes) // NODE_WORDS, dtype=wp.vec3, device=device) for _ in range(2))
-        for first, count in reversed(self.levels):
-            launch(refit_nodes, count, [first, self.triangles, int(self.split)], [self.nodes, lower, upper], device)
+        lower, upper = self._corners()
+        for count, inputs in self._refits():
+            launch(refit_nodes, count, inputs, [self.nodes, lower, upper], self.nodes.device.alias)
         return lower, upper
+
+    def record_refit(self, graph: FrameGraph) -> tuple[wp.array, wp.array]:
+        """Record the same."""
+        lower, upper = self._corners()
+        for count, inputs in self._refits():
+            graph.launch(refit_nodes, count, inputs, [self.nodes, lower, upper], banded=False)
+        return lower, upper
+
+    def _corners(self) -> tuple[wp.array, wp.array]:
+        count, device = len(self.nodes) // NODE_WORDS, self.nodes.device
+        return wp.empty(count, dtype=wp.vec3, device=device), wp.empty(count, dtype=wp.vec3, device=device)
+
+    def _refits(self) -> list[tuple[int, list]]:
+        """Return threads and inputs of each launch of refit_nodes, children first."""
+        return [(count, [first, self.triangles, int(self.split)]) for first, count in reversed(self.levels)]
 
 
 @dataclass

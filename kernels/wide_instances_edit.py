@@ -52,16 +52,21 @@ def write_records(
 def write_boxes(
     # In:
     items: wp.array[int],
-    lower: wp.array[wp.vec3],
-    upper: wp.array[wp.vec3],
+    corners: wp.array[wp.vec3],
     # Out:
     words_out: wp.array[wp.uint32],
 ):
-    """Write boxes, in the leaves' order, as triangles between their corners, which refit_nodes can read."""
+    """Write boxes, in the leaves' order, as triangles between their corners, which refit_nodes can read.
+
+    In detail:
+        items: [N], number of each leaf's box.
+        corners: [2 * N], lower and upper one of each box in turn.
+        words_out: [TRIANGLE_WORDS * N].
+    """
     i = wp.tid()
     item = items[i]
-    low = lower[item]
-    high = upper[item]
+    low = corners[2 * item]
+    high = corners[2 * item + 1]
     for axis in range(3):
         words_out[TRIANGLE_WORDS * i + axis] = wp.cast(low[axis], wp.uint32)
         words_out[TRIANGLE_WORDS * i + 4 + axis] = wp.cast(high[axis], wp.uint32)

@@ -8,11 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
+from burnish.engine.device import launch
 from burnish.engine.device_scene import DeviceScene
+from burnish.engine.instance_plan import outer_bounds
 from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import PerformanceSettings
 from burnish.kernels.intersect import any_hit, closest_hit, closest_layer
 from burnish.kernels.types import Scene
+from burnish.kernels.wide_instances_edit import write_boxes, write_records
 
 from tests import scenes
 from tests.scenes import DEVICE
@@ -291,3 +294,30 @@ def test_the_radius_follows_large_changes_alone() -> None:
         assert (made.radius == radius) == same, (shift, made.radius, radius)
     read = opened(meshes(), objects(400.0))
     assert 0.8 * read.radius <= made.radius <= read.radius
+
+
+def test_recorded_moves_fit_boxes_as_launches_do() -> None:
+    """Have the same nodes, records and told area after each of a row of moves as where nothing is recorded."""
+    made, told = opened(meshes(), objects()), []
+    home = made.table.transforms.copy()
+    for shift in (0.4, -0.3, 0.1, 0.9, 0.4):
+        transforms = home.copy()
+        transforms[1:7, 2, 3] += shift * np.arange(6)
+        made.apply(SceneDelta(instances=replace(made.table, transforms=transforms)), PerformanceSettings())
+        levels = [made.structures.levels.opaque, made.structures.levels.filtered]
+        for level in levels:
+            wide, arrays = level._wide, (level._wide.triangles, level._wide.nodes, level._records)
+            assert (level._fitting is not None) == made.changes.followed
+            kept, area = [array.numpy().tobytes() for array in arrays], float(level._area._view[0])
+            low, high = outer_bounds(made.plan, level.chosen)
+            np.testing.assert_array_equal(level._bounds.numpy().reshape(-1, 2, 3), np.stack([low, high], 1))
+            launch(write_boxes, len(low), [level._items, level._bounds], [wide.triangles], made.device)
+            level._area.note(*wide.refit())
+            launch(write_records, len(low), [level._items, *level._rows, level._meshes, made.instances],
+                   [level._records], made.device)
+            assert [array.numpy().tobytes() for array in arrays] == kept
+            assert float(level._area._view[0]) == area
+        told.append((levels[0]._area._view[0], levels[1]._area._view[0], made.changes.followed))
+    # Boxes half as large again as at first are built anew.
+    assert [each[2] for each in told] == [False, True, True, True, False]
+    assert told[1] != told[2] and told[4] == told[0]
