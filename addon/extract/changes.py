@@ -148,7 +148,7 @@ def same_table(table: InstanceTable, previous: InstanceTable) -> bool:
 def same_lights(lights: list[LightData], previous: list[LightData] | None) -> bool:
     """Tell whether both lists hold the same lamps in the same order."""
     return previous is not None and len(lights) == len(previous) and all(
-        same_fields(light, other) for light, other in zip(lights, previous, strict=True))
+        light is other or same_fields(light, other) for light, other in zip(lights, previous, strict=True))
 
 
 def same_fields(value: object, other: object) -> bool:

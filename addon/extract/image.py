@@ -34,7 +34,7 @@ from ...engine.textures import (
 )
 from .image_tiles import TILE_TOKENS, TiledImage, TileSource, generated_pixels, tile_sources
 
-__all__ = ["ImageCollector", "sequence_frame", "sequence_path"]
+__all__ = ["ImageCollector", "sequence_frame", "sequence_path", "working_space"]
 
 Key = Hashable
 THREADS_MAX = 8

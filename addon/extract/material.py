@@ -17,7 +17,7 @@ from ...engine.one_sided import hide_back_of_hair
 from ...engine.pass_names import COLOR_AOV, VALUE_AOV
 from ...engine.program import Program, ProgramBuilder, RegisterOverflow, Value
 from ...engine.report import Report, ReportKind
-from ...engine.scene import MaterialData, MistData, Visibility, WorldData
+from ...engine.scene import MaterialData, MistData, SceneDelta, Visibility, WorldData
 from ...engine.sky.image import TO_REC709
 from . import (  # noqa: F401  (they register their translators)
     node_ies,
@@ -31,7 +31,7 @@ from .node_graph import Graph, no_property
 from .node_shaders import add_shader
 from .volume import read_medium
 
-__all__ = ["extract_light_shader", "extract_material", "extract_world", "from_xyz"]
+__all__ = ["extract_light_shader", "extract_material", "extract_world", "from_xyz", "luminance_weights"]
 
 Layer = Callable[[str], tuple[float, ...]]
 
@@ -47,12 +47,22 @@ FROM_REC709 = {
     "ACEScg": ((0.613097, 0.339523, 0.047380), (0.070194, 0.916354, 0.013452), (0.020616, 0.109570, 0.869815)),
 }
 
+LUMINANCE_WEIGHTS = {
+    "Linear Rec.2020": (0.2627002, 0.6779981, 0.0593017),
+    "ACEScg": (0.2722287, 0.6740818, 0.0536895),
+}
+
 
 @functools.cache
 def from_xyz(space: str) -> tuple[tuple[float, float, float], ...]:
     """Return the matrix from CIE XYZ to a working space."""
     rows = np.asarray(FROM_REC709.get(space, np.eye(3))) @ np.asarray(TO_REC709)
     return tuple(tuple(float(x) for x in row) for row in rows)
+
+
+def luminance_weights(space: str) -> tuple[float, float, float]:
+    """Return the luminance of a working space's primaries: the Y row of RGB to XYZ."""
+    return LUMINANCE_WEIGHTS.get(space, SceneDelta.luminance_weights)
 
 
 def make_graph(tree, images, report: Report, owner: str, *, builder: ProgramBuilder | None = None,

@@ -21,22 +21,16 @@ from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, Sc
 from ..passes import aov_source
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .geometry import materials_of_hair, read_geometry
-from .image import ImageCollector
+from .image import ImageCollector, working_space
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
-from .material import from_xyz
+from .material import from_xyz, luminance_weights
 from .moves import Moves
 from .properties import LayerProperties
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
 
 Progress = Callable[[str, float], None]
-
-# Luminance (the Y row of RGB to XYZ) of the working spaces that a file can have.
-_LUMINANCE_WEIGHTS = {
-    "Linear Rec.2020": (0.2627002, 0.6779981, 0.0593017),
-    "ACEScg": (0.2722287, 0.6740818, 0.0536895),
-}
 
 
 @dataclass
@@ -101,6 +95,8 @@ class SceneExtractor:
         self._world_report = Report()
         self._images: ImageCollector | None = None
         self._walk_report = Report()
+        self._merged: Report | None = None
+        """All reports together, until something is read again"""
         self._moves = Moves()
         self._layer = LayerProperties()
 
@@ -156,7 +152,8 @@ class SceneExtractor:
         start = time.perf_counter()
         full = self._begin(depsgraph, space)
         changes = self._changes(depsgraph, full or not viewport)
-        delta = SceneDelta(full=full, luminance_weights=_luminance_weights(), from_xyz=from_xyz(_working_space()))
+        working = self._identity[-1]
+        delta = SceneDelta(full=full, luminance_weights=luminance_weights(working), from_xyz=from_xyz(working))
         callbacks = _Callbacks(progress, cancelled)
         try:
             self._extract_changed(delta, depsgraph, changes, space, callbacks)
@@ -170,7 +167,7 @@ class SceneExtractor:
     def _begin(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None) -> bool:
         """Return whether another scene than before is to be read; forgets the old one then."""
         # A loaded file gives every data-block another session_uid.
-        identity = (depsgraph.scene.session_uid, depsgraph.mode, _working_space())
+        identity = (depsgraph.scene.session_uid, depsgraph.mode, working_space())
         full = identity != self._identity
         if full:
             self.reset()
@@ -195,12 +192,14 @@ class SceneExtractor:
             return
         callbacks.step("Reading the scene", 0.0)
         changes.everything |= self._layer.begin(depsgraph)
+        same_world = _world_of(depsgraph)[1] == self._world_uid
+        if changes.only_objects and same_world and self._moves.read(depsgraph, changes.objects):
+            self._extract_moves(delta)
+            return
+        self._merged = None
         self._aovs = _asked_aovs(depsgraph)
         images = self._begin_images(depsgraph, delta.full)
-        if changes.only_objects and self._moves.read(depsgraph, changes.objects):
-            self._hand_over_table(delta, self._moves.table)
-            self._object_lights = self._moves.lights
-        elif changes.everything or changes.instances or changes.materials or changes.images:
+        if changes.everything or changes.instances or changes.materials or changes.images:
             self._walk_report = Report()
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
@@ -215,6 +214,14 @@ class SceneExtractor:
         callbacks.step("Reading images", 1.0)
         delta.images = images.images
         self.counts.images = len(delta.images)
+
+    def _extract_moves(self, delta: SceneDelta) -> None:
+        """Send what lies elsewhere where nothing else has changed."""
+        if self._moves.table is not self._table:
+            delta.instances = self._table = self._moves.table
+        self._object_lights = self._moves.lights
+        self._hand_over_lights(delta)
+        self._layer.end()
 
     def _begin_images(self, depsgraph: bpy.types.Depsgraph, full: bool) -> ImageCollector:
         if self._images is None:
@@ -344,8 +351,7 @@ class SceneExtractor:
                        images: ImageCollector) -> None:
         from .material import extract_world
 
-        world = depsgraph.view_layer_eval.world_override or depsgraph.scene_eval.world
-        uid = world.original.session_uid if world is not None else 0
+        world, uid = _world_of(depsgraph)
         if not (changes.everything or changes.world or changes.images or uid != self._world_uid):
             return
         self._world_report = Report()
@@ -357,15 +363,27 @@ class SceneExtractor:
 
     def _merge_reports(self, report: Report) -> None:
         """Hand over what is true of the scene now, also where it was not read again."""
-        report.merge(self._walk_report)
-        parts = [*self._mesh_reports.values(), self._world_report]
+        if self._merged is None:
+            self._merged = self._merge_parts()
+        report.merge(self._merged)
+
+    def _merge_parts(self) -> Report:
+        parts = [self._walk_report, *self._mesh_reports.values(), self._world_report]
         if self._images is not None:
             parts.append(self._images.report)
         parts += [part for _, part in self._light_shaders.values()] + [part for _, part in self._materials.values()]
+        merged = Report()
         for part in parts:
             # Of a thousand meshes and materials few have anything to say.
             if part.counts:
-                report.merge(part)
+                merged.merge(part)
+        return merged
+
+
+def _world_of(depsgraph: bpy.types.Depsgraph) -> tuple[bpy.types.World | None, int]:
+    """Return the world with its session_uid, 0 without one."""
+    world = depsgraph.view_layer_eval.world_override or depsgraph.scene_eval.world
+    return world, world.original.session_uid if world is not None else 0
 
 
 def _asked_aovs(depsgraph: bpy.types.Depsgraph) -> tuple[str, ...]:
@@ -379,11 +397,3 @@ def _attributes_of(data: MaterialData) -> list[str]:
     media = data.medium.programs if data.medium is not None else ()
     programs = filter(None, (data.program, data.exact, data.hair, *data.aovs.values(), *media))
     return [name for program in programs for name in program.attributes]
-
-
-def _working_space() -> str:
-    return getattr(getattr(bpy.data, "colorspace", None), "working_space", "Linear Rec.709")
-
-
-def _luminance_weights() -> tuple[float, float, float]:
-    return _LUMINANCE_WEIGHTS.get(_working_space(), SceneDelta.luminance_weights)

@@ -27,9 +27,12 @@ def places():
 
 def driven(path, expression):
     """Let the empty's place drive a property of B."""
-    driver = b.driver_add(path).driver
+    drive(b.driver_add(path).driver, empty, expression)
+
+def drive(driver, item, expression):
+    """Let an object's place drive something."""
     variable = driver.variables.new()
-    variable.targets[0].id, variable.targets[0].data_path = empty, "location.x"
+    variable.targets[0].id, variable.targets[0].data_path = item, "location.x"
     driver.expression = expression.replace("x", variable.name)
 '''
 
@@ -88,3 +91,55 @@ finish(passes=passes, shown=shown, hidden=hidden, colored=colored, modified=modi
         assert result[name] == [0, True, True], name
     assert result["flattened"][0] == [0, True, True] and len(result["flattened"][1]) == 1
     assert result["restored"][0][1:] == [True, True] and result["restored"][1] == []
+
+
+def test_places_are_read_of_what_moves_alone(run_extraction):
+    """Ask no object where it is but those that an update names, without instances, and have all that follows right."""
+    result = run_extraction(SCENE + r'''
+import sys
+moves = sys.modules[SceneExtractor.__module__.rpartition(".")[0] + ".moves"]
+bulk, read = [], moves.read_transforms
+def counted(*arguments):
+    bulk.append(1)
+    return read(*arguments)
+moves.read_transforms = counted
+bpy.data.objects.remove(empty)
+follower, aimed, held, mirrored = (link(name, shared) for name in ("Follower", "Aimed", "Held", "Mirrored"))
+follower.constraints.new('COPY_LOCATION').target = a
+aimed.constraints.new('TRACK_TO').target = b
+aimed.location = (5, 1, 0)
+drive(held.driver_add("location", 1).driver, a, "x")
+drive(held.driver_add("hide_viewport").driver, a, "x > 5.0")
+mirrored.parent, mirrored.scale.x = b, -1
+hidden = link("Hidden", shared)
+hidden.parent, hidden.hide_viewport = a, True
+view.after(lambda: None)
+steps = []
+def step(action):
+    before = len(bulk)
+    sent = view.after(action)
+    steps.append((sent["walked"] > 0, len(bulk) - before, sent["instances"], sent["lights"], places()))
+def move(item, x):
+    step(lambda: setattr(item.location, "x", x))
+def both():
+    a.location.x, aimed.location.y = 3.0, 2.0
+def swap():
+    follower.constraints[0].target = aimed
+for x in (1.0, 2.0, -0.5, -0.5):
+    move(a, x)
+step(both)
+move(a, 0.0)
+step(swap)
+move(aimed, -2.0)
+move(aimed, -3.0)
+for x in (1.0, 6.0, 7.0, 1.0, 2.0):
+    move(a, x)
+graph = bpy.context.evaluated_depsgraph_get()
+finish(steps=steps, instanced=sum(item.is_instance for item in graph.object_instances))
+''')
+    walked, bulk, instances, lights, same = map(list, zip(*result["steps"], strict=True))
+    assert result["instanced"] == 0 and all(same)
+    # Another target of a constraint is more than a move, and so is what is hidden by one or shown.
+    assert walked == [False] * 6 + [True] + [False] * 3 + [True, False, True, False] and not any(bulk)
+    assert instances == [index != 3 for index in range(14)]
+    assert lights == [index not in (3, 6, 7, 8) for index in range(14)]
