@@ -48,15 +48,10 @@ class _Area:
         """Add up the boxes, vec3 [N] each."""
         areas = wp.empty(len(lower), dtype=float, device=lower.device)
         launch(write_areas, len(lower), [lower, upper], [areas], lower.device.alias)
-        self._tell(areas)
+        self.add_up(areas)
 
-    def record(self, graph: FrameGraph, lower: wp.array, upper: wp.array) -> None:
-        """Record the same."""
-        areas = wp.empty(len(lower), dtype=float, device=lower.device)
-        graph.launch(write_areas, len(lower), [lower, upper], [areas], banded=False)
-        graph.call(lambda: self._tell(areas))
-
-    def _tell(self, areas: wp.array) -> None:
+    def add_up(self, areas: wp.array) -> None:
+        """Add up the boxes' areas, float [N]: not fit for graphs everywhere, as it takes memory for a while."""
         wp.utils.array_sum(areas, out=self._sum)
         wp.copy(self._told, self._sum)
 
@@ -169,7 +164,7 @@ class InstanceLevel:
         """float32 [2 * N, 3], lower and upper one of each in turn"""
         self._bounds = wp.array(self._corners, dtype=wp.vec3, device=device)
         self._writer, self._area = RowWriter(wp.vec3, device), _Area(device)
-        self._fitting: FrameGraph | None = None
+        self._fitting: tuple[FrameGraph, wp.array] | None = None
         self._placing: tuple[wp.array, wp.Launch] | None = None
         nodes, self._items, levels = build_over(
             *(wp.array(values, dtype=wp.vec3, device=device) for values in (low, high)))
@@ -227,16 +222,19 @@ class InstanceLevel:
         self._corners[places], self._corners[places + 1] = low, high
         self._writer.write(self._bounds, self._corners, np.stack([places, places + 1], 1).reshape(-1))
         self._fitting = self._fitting or self._record_fitting()
-        self._fitting.replay()
+        graph, areas = self._fitting
+        graph.replay()
+        self._area.add_up(areas)
         return True
 
-    def _record_fitting(self) -> FrameGraph:
-        """Record what fits all boxes to the bounds: each step of a drag does it again."""
+    def _record_fitting(self) -> tuple[FrameGraph, wp.array]:
+        """Record what fits all boxes to the bounds, for each step of a drag; return that and their areas."""
         graph, wide = FrameGraph(self.device), self._wide
-        graph.launch(
-            write_boxes, len(self.chosen), [self._items, self._bounds], [wide.triangles], banded=False)
-        self._area.record(graph, *wide.record_refit(graph))
-        return graph
+        graph.launch(write_boxes, len(self.chosen), [self._items, self._bounds], [wide.triangles], banded=False)
+        lower, upper = wide.record_refit(graph)
+        areas = wp.empty(len(lower), dtype=float, device=self.device)
+        graph.launch(write_areas, len(lower), [lower, upper], [areas], banded=False)
+        return graph, areas
 
     def struct(self) -> types.InstanceLevel:
         """Return it as kernels take it: the same after moves."""
