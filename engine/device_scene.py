@@ -17,7 +17,7 @@ from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
 from .instance_plan import InstancePlan
-from .instance_rows import filtered_groups, instance_bounds, instance_rows, scene_origin, write_places
+from .instance_rows import filtered_groups, instance_bounds, instance_rows, moved_rows, scene_origin, write_places
 from .lamp_tables import LampTables
 from .lamps import lamp_power
 from .light_linking import is_linked, same_links
@@ -188,7 +188,7 @@ class DeviceScene:
                 or self.plan is None or not table.moved_from(self.table)):
             return False
         with self._timed("structures"):
-            moved = np.flatnonzero((table.transforms != self.table.transforms).any((1, 2)))
+            moved = moved_rows(table.transforms, self.table.transforms)
             transforms = table.transforms[moved]
             ranges = [self.store.ranges[table.mesh_keys[i]] for i in table.mesh_index[moved].tolist()]
             drawn, center, half = instance_bounds(np.arange(len(moved)), transforms, ranges)
@@ -285,8 +285,7 @@ class DeviceScene:
             return True, np.zeros(0, np.int64)
         if [table.mesh_keys[i] for i in table.mesh_index] != [old.mesh_keys[i] for i in old.mesh_index]:
             return True, np.zeros(0, np.int64)
-        moved = (table.transforms != old.transforms).any((1, 2))
-        return False, np.flatnonzero(moved)
+        return False, moved_rows(table.transforms, old.transforms)
 
     def _measure_bounds(self) -> None:
         """Find the bounds of all drawn instances and, for a new scene, its origin."""

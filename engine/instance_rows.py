@@ -11,7 +11,7 @@ from .light_linking import emitted_visibility, received_bits
 from .scene import InstanceTable, Key, MaterialData
 from .structures import RAY_KINDS
 
-__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "scene_origin", "stops_all",
+__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "moved_rows", "scene_origin", "stops_all",
            "write_places"]
 
 LEAST_SCALE = 1e-25
@@ -20,8 +20,17 @@ LEAST_SCALE = 1e-25
 LEAST_HEIGHT = 1e-6
 """What is flat has so much of its size along its lost axes on the way into its object space"""
 
+FARTHEST = np.finfo(np.float32).max
+
 ROW_TYPE = np.dtype(types.Instance.numpy_dtype())
 """Asked for once: Warp works it out anew each time"""
+
+
+def moved_rows(transforms: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return, ascending, which transforms differ: float64 [N, 4, 4] each."""
+    # Sixteen truth values are two words: few of thousands differ, and NumPy takes long to join short rows.
+    words = (transforms != others).reshape(-1, 16).view(np.uint64)
+    return np.flatnonzero(words[:, 0] | words[:, 1])
 
 
 def instance_bounds(
@@ -43,10 +52,13 @@ def instance_bounds(
     linear = transforms[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         center = np.einsum("nij,nj->ni", linear, 0.5 * (low + high)) + transforms[:, :3, 3]
-        half = np.einsum("nij,nj->ni", np.abs(linear), 0.5 * (high - low))
+        sizes = np.abs(linear)
+        half = np.einsum("nij,nj->ni", sizes, 0.5 * (high - low))
         # False for NaN too.
-        drawn &= (np.abs(linear) > LEAST_SCALE).any((1, 2))
+        drawn &= (sizes > LEAST_SCALE).any((1, 2))
     drawn &= np.isfinite(center).all(1) & np.isfinite(half).all(1)
+    if drawn.all():
+        return drawn, center, half
     return drawn, np.where(drawn[:, None], center, 0.0), np.where(drawn[:, None], half, 0.0)
 
 
@@ -128,13 +140,17 @@ def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, c
     """Write the transforms (float64 [N, 4, 4]) of the `chosen` instances into their rows."""
     matrices = transforms[chosen].copy()
     matrices[:, :3, 3] -= origin
-    matrices[~(np.abs(matrices) <= np.finfo(np.float32).max).all((1, 2))] = np.eye(4)
+    near = (np.abs(matrices) <= FARTHEST).reshape(-1, 16).all(1)
+    if not near.all():
+        matrices[~near] = np.eye(4)
     determinant = np.linalg.det(matrices[:, :3, :3])
-    safe = matrices.copy()
-    safe[determinant == 0] = np.eye(4)
+    flat, safe = determinant == 0, matrices
+    if flat.any():
+        safe = matrices.copy()
+        safe[flat] = np.eye(4)
     with np.errstate(over="ignore"):
         inverse = np.linalg.inv(safe).astype(np.float32)
-    flat = np.flatnonzero((determinant == 0) | ~np.isfinite(inverse).all((1, 2)))
+    flat = np.flatnonzero(flat | ~np.isfinite(inverse).reshape(-1, 16).all(1))
     if len(flat):
         inverse[flat] = _inverse_of_flat(matrices[flat])
     rows["to_world"][chosen] = matrices

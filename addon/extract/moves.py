@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from ...engine.instance_rows import moved_rows
 from ...engine.object_properties import split_name
 from ...engine.scene import InstanceTable, LightData
 from .instances import Gathered, placeable, ray_visibility, read_transforms, uppermost
@@ -81,7 +82,7 @@ class Moves:
             transforms = _read_named(objects, walked)
         if transforms is None:
             return False
-        moved = np.flatnonzero((transforms != walked.transforms).reshape(-1, 16).any(1))
+        moved = moved_rows(transforms, walked.transforms)
         near, good = placeable(transforms[moved])
         if not np.array_equal(walked.of_mesh[moved] & near & good, walked.kept[moved]):
             return False

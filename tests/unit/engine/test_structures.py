@@ -11,6 +11,7 @@ import warp as wp
 from burnish.engine.device import launch
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.instance_plan import outer_bounds
+from burnish.engine.instance_rows import ROW_TYPE, moved_rows, write_places
 from burnish.engine.scene import SceneDelta
 from burnish.engine.settings import PerformanceSettings
 from burnish.kernels.intersect import any_hit, closest_hit, closest_layer
@@ -321,3 +322,30 @@ def test_recorded_moves_fit_boxes_as_launches_do() -> None:
     # Boxes half as large again as at first are built anew.
     assert [each[2] for each in told] == [False, True, True, True, False]
     assert told[1] != told[2] and told[4] == told[0]
+
+
+def test_odd_places_are_written_among_others() -> None:
+    """Write the same rows for one instance at a time as for all, and find those whose transforms differ."""
+    rng = np.random.default_rng(11)
+    transforms = np.tile(np.eye(4), (9, 1, 1))
+    transforms[:, :3] += rng.normal(size=(9, 3, 4))
+    transforms[1, :3, 2] = 0.0
+    transforms[3, 0, 3], transforms[4, 1, 1] = np.nan, np.inf
+    transforms[6, :3, :3] = 0.0
+    transforms[7] *= 1e-30
+    origin, together = np.array([1.0, -2.0, 0.5]), np.zeros(9, ROW_TYPE)
+    write_places(together, transforms, origin, slice(None))
+    alone = np.zeros(9, ROW_TYPE)
+    for index in range(9):
+        write_places(alone, transforms, origin, np.array([index]))
+    assert together.tobytes() == alone.tobytes()
+    np.testing.assert_array_equal(together["to_world"][[3, 4]], np.tile(np.eye(4), (2, 1, 1)))
+    for index in (0, 2, 5, 8):
+        product = together["to_world"][index].astype(np.float64) @ together["to_object"][index]
+        np.testing.assert_allclose(product, np.eye(4), atol=1e-4)
+    others = transforms.copy()
+    others[2, 3, 3], others[8, 0, 0] = 2.0, 7.0
+    # What is not a number differs from itself.
+    assert moved_rows(transforms, others).tolist() == [2, 3, 8]
+    assert moved_rows(np.asfortranarray(transforms), others).tolist() == [2, 3, 8]
+    assert moved_rows(transforms[:0], others[:0]).tolist() == []
