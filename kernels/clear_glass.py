@@ -63,6 +63,8 @@ class ClearWay:
     """Met so far"""
     inside: int
     """1: in glass; of paths' shadow rays"""
+    shift: wp.vec2
+    """By how much the light seems closer across its plane of incidence and in it; of paths' shadow rays"""
     open: int
     """1: it looks on, 2: it has met the same surface again"""
 

@@ -8,8 +8,8 @@ Fascione, "Manifold Next Event Estimation", EGSR 2015) for the one case that nee
 
 What counts as a pane is told by the same tests here, where paths go through glass, and in `dim_strictly`, where shadow
 rays do: smooth glass, entered and left, whose normals are those of its triangles and which has turned nothing. All
-other ways through glass are paths' alone. Not told: that a pane shifts a path to the side, by a third of its thickness
-at most.
+other ways through glass are paths' alone. Light from behind a pane seems closer by about a third of its thickness, and
+so denser; what is in its way is looked for along the straight line.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from .flat_tracing import closest_flat
 from .fresnel import fresnel_dielectric
 from .geometry_math import max_component, normalize_or, transform_normal
 from .intersect import MISS, Hit, closest_hit
+from .lamp_hit import FAR
 from .paths import Paths
 from .types import VISIBLE_TRANSMISSION, Bsdf, BsdfSample, Scene, ShadingPoint
 from .wide_loads import load_instance, load_normal
@@ -40,6 +41,9 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 # Squared length by which the direction behind a pane may differ from that before it, and a normal from its triangle's.
 TURN_MAX = wp.constant(1.0e-5)
 NORMAL_MAX = wp.constant(1.0e-6)
+
+# Least share of the distance that light seems to come over: panes as thick as this leaves are none.
+SHIFT_MIN = wp.constant(0.25)
 
 # Surfaces that a shadow ray goes through.
 STRICT_SURFACES = wp.constant(64)
@@ -119,16 +123,27 @@ def dim_strictly(scene: Scene, way: ClearWay) -> ClearWay:
         result.light = wp.vec3(0.0, 0.0, 0.0)
         result.open = 0
         return result
+    # A pane of thickness h moves what lies a distance D behind it, along the normal, from D tan a to (D - h) tan a +
+    # h tan b; light gets denser by the ratio of the areas.
+    c = wp.abs(cosine)
+    below = wp.max(1.0 - (1.0 - c * c) / (material[3] * material[3]), 1.0e-6)
+    slope = c / (material[3] * wp.sqrt(below))
+    shift = wp.vec2(1.0 - slope, 1.0 - slope * c * c / below) * way.hit.t
+    result.shift = way.shift + wp.where(cosine < 0.0, -shift, shift)
     passing = 1.0 - fresnel_dielectric(cosine, material[3])[0]
     result.light = wp.cw_mul(way.light, wp.vec3(material[0], material[1], material[2])) * passing
     return result
 
 
 @wp.func
-def end_strictly(paths: Paths, path: int, way: ClearWay):
+def end_strictly(paths: Paths, path: int, way: ClearWay, distance: float):
     """Weaken a shadow ray's light by the panes in its way; its distance becomes 0 where it doesn't arrive."""
     if max_component(way.light) > 0.0 and way.inside == 0:
-        paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], way.light)
+        denser = float(1.0)
+        if distance < FAR:
+            left = wp.max(wp.vec2(1.0, 1.0) - way.shift / distance, wp.vec2(SHIFT_MIN, SHIFT_MIN))
+            denser = 1.0 / (left[0] * left[1])
+        paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], way.light) * denser
     else:
         paths.shadow_distance[path] = 0.0
 
@@ -152,7 +167,7 @@ def dim_path_flat(scene: Scene, paths: Paths, path: int, distance: float):
             way.open = 0
         else:
             way = dim_strictly(scene, way)
-    end_strictly(paths, path, way)
+    end_strictly(paths, path, way, distance)
 
 
 @wp.func
@@ -174,4 +189,4 @@ def dim_path_all(scene: Scene, paths: Paths, path: int, distance: float):
             way.open = 0
         else:
             way = dim_strictly(scene, way)
-    end_strictly(paths, path, way)
+    end_strictly(paths, path, way, distance)
