@@ -149,13 +149,26 @@ def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, c
         safe = matrices.copy()
         safe[flat] = np.eye(4)
     with np.errstate(over="ignore"):
-        inverse = np.linalg.inv(safe).astype(np.float32)
+        inverse = _inverses(safe).astype(np.float32)
     flat = np.flatnonzero(flat | ~np.isfinite(inverse).reshape(-1, 16).all(1))
     if len(flat):
         inverse[flat] = _inverse_of_flat(matrices[flat])
     rows["to_world"][chosen] = matrices
     rows["to_object"][chosen] = inverse
     rows["flipped"][chosen] = determinant < 0
+
+
+def _inverses(matrices: np.ndarray) -> np.ndarray:
+    """Return inverses of matrices [N, 4, 4], NaN for those that have none.
+
+    One whose upper part has a tiny determinant may be singular as a whole, by rounding.
+    """
+    try:
+        return np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(matrices, np.nan)
+        return np.concatenate([_inverses(matrices[i : i + 1]) for i in range(len(matrices))])
 
 
 def _inverse_of_flat(matrices: np.ndarray) -> np.ndarray:

@@ -349,3 +349,23 @@ def test_odd_places_are_written_among_others() -> None:
     assert moved_rows(transforms, others).tolist() == [2, 3, 8]
     assert moved_rows(np.asfortranarray(transforms), others).tolist() == [2, 3, 8]
     assert moved_rows(transforms[:0], others[:0]).tolist() == []
+
+
+def test_matrix_that_is_singular_by_rounding(monkeypatch) -> None:
+    """Write the others as always where one matrix has no inverse although its upper part has a determinant."""
+    transforms = np.tile(np.eye(4), (3, 1, 1))
+    transforms[:, 0, 3] = [1.0, 2.0, 3.0]
+    transforms[1, :3, :3] *= 1.0e-20
+    real = np.linalg.inv
+
+    def refuse(matrices):
+        if (np.abs(np.linalg.det(matrices[:, :3, :3])) < 1.0e-50).any():
+            raise np.linalg.LinAlgError("Singular matrix")
+        return real(matrices)
+
+    monkeypatch.setattr(np.linalg, "inv", refuse)
+    rows = np.zeros(3, ROW_TYPE)
+    write_places(rows, transforms, np.zeros(3), slice(None))
+    assert np.isfinite(rows["to_object"]).all()
+    for i in (0, 2):
+        assert np.array_equal(rows["to_object"][i], real(transforms[i]).astype(np.float32))
