@@ -164,13 +164,10 @@ class FrameGraph:
             step.launches.append(record(kernel, [*inputs, queue[low:high]], outputs, self.device, high - low))
         self._steps.append(step)
 
-    def fill_list(
-        self, kernel: wp.Kernel, count: int, inputs: list, work: WorkList, *, over: WorkList | None = None,
-    ) -> None:
+    def fill_list(self, kernel: wp.Kernel, count: int, inputs: list, work: WorkList) -> None:
         """Record a kernel that puts those of `count` elements into an empty list that need work; CUDA only.
 
-        The list gets a counter of its own for this use: one step at the frame's start sets all of them to zero. With
-        `over` it takes the elements of another list, as in launch_listed, and writes the paths that follow.
+        The list gets a counter of its own for this use: one step at the frame's start sets all of them to zero.
         """
         if self.cuda:
             place = self._lists % LISTS
@@ -179,10 +176,6 @@ class FrameGraph:
                 self._steps.insert(0, _Step(self._section, action=self._counts.zero_))
             self._lists += 1
             work.count = self._counts[place : place + 1]
-            if over is not None:
-                count = min(count, LISTED_THREADS)
-                scene, *rest, paths = inputs
-                inputs = [scene, *rest, count, over.count, over.queue, paths]
             self.launch(kernel, count, inputs, [work.queue, work.count], banded=False)
 
     def launch_listed(

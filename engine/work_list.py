@@ -14,7 +14,7 @@ import warp as wp
 
 from ..kernels.list_order import EACH_ONE
 
-__all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "every", "make_queue", "make_work_list", "one_number"]
+__all__ = ["FEW_THREADS", "LISTED_THREADS", "ONCE", "WorkList", "make_queue", "make_work_list", "one_number"]
 
 LISTED_THREADS = 1 << 18
 """Most threads that share a list's elements: some times what a large GPU has at work at a time, so that blocks that
@@ -50,11 +50,6 @@ def one_number(value: int, device: str) -> wp.array:
 def make_queue(count: int, device: str) -> wp.array:
     """Return the queue of all elements in order."""
     return wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
-
-
-def every(queue: wp.array) -> WorkList:
-    """Return the list of all elements of a queue."""
-    return WorkList(queue, one_number(len(queue), str(queue.device)))
 
 
 def make_work_list(capacity: int, device: str) -> WorkList:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import finish_cache_shadow
-from .clear_glass import any_blocker, clear_triangle, dim_all, dim_flat, flat_blocker, follow_all, follow_flat
+from .clear_glass import dim_all, dim_flat, follow_all, follow_flat
 from .clear_paths import dim_path_all, dim_path_flat
 from .decided_instances import meet_all_layers
 from .decided_layers import meet_layers
@@ -106,20 +106,46 @@ def trace_clear_further(
 
 @wp.kernel(cuda_max_registers=64)
 def dim_flat_shadows(
+    first: int,
+    # In:
+    scene: Scene,
+    # Out:
+    rays_out: Paths,
+):
+    """Weaken shadow rays by clear glass and end those that anything opaque blocks."""
+    slot = first + wp.tid()
+    distance = rays_out.shadow_distance[slot]
+    if distance > 0.0:
+        dim_flat(scene, rays_out, slot, distance)
+
+
+@wp.kernel(cuda_max_registers=80)
+def dim_shadows(
+    first: int,
+    # In:
+    scene: Scene,
+    # Out:
+    rays_out: Paths,
+):
+    """Do as dim_flat_shadows in scenes where not all is flattened."""
+    slot = first + wp.tid()
+    distance = rays_out.shadow_distance[slot]
+    if distance > 0.0:
+        dim_all(scene, rays_out, slot, distance)
+
+
+@wp.kernel(cuda_max_registers=64)
+def dim_flat_cache_shadows(
     # In:
     scene: Scene,
     filtered: int,
-    finishing: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Weaken listed shadow rays by clear glass, and end those that anything opaque blocks.
-
-    `finishing` 1: see cache_rays.finish_cache_shadow.
-    """
+    """Do as dim_flat_shadows for listed rays of hits; see cache_rays.finish_cache_shadow."""
     i = wp.tid()
     while i < count[0]:
         slot = queue[i]
@@ -127,23 +153,22 @@ def dim_flat_shadows(
         distance = paths_out.shadow_distance[slot]
         if distance > 0.0:
             dim_flat(scene, paths_out, slot, distance)
-        if finishing == 1 and distance != 0.0:
+        if distance != 0.0:
             finish_cache_shadow(paths_out, slot, paths_out.shadow_distance[slot] == 0.0, filtered)
 
 
 @wp.kernel(cuda_max_registers=80)
-def dim_shadows(
+def dim_cache_shadows(
     # In:
     scene: Scene,
     filtered: int,
-    finishing: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Do as dim_flat_shadows in scenes where not all is flattened."""
+    """Do as dim_flat_cache_shadows in scenes where not all is flattened."""
     i = wp.tid()
     while i < count[0]:
         slot = queue[i]
@@ -151,7 +176,7 @@ def dim_shadows(
         distance = paths_out.shadow_distance[slot]
         if distance > 0.0:
             dim_all(scene, paths_out, slot, distance)
-        if finishing == 1 and distance != 0.0:
+        if distance != 0.0:
             finish_cache_shadow(paths_out, slot, paths_out.shadow_distance[slot] == 0.0, filtered)
 
 
@@ -193,72 +218,3 @@ def dim_path_shadows(
         distance = paths_out.shadow_distance[path]
         if distance > 0.0:
             dim_path_all(scene, paths_out, path, distance)
-
-
-@wp.kernel(cuda_max_registers=56)
-def sort_flat_shadows(
-    # In:
-    scene: Scene,
-    filtered: int,
-    finishing: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    paths: Paths,
-    # Out:
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
-):
-    """End listed shadow rays that anything else than glass blocks first, and list those that glass does; CUDA only.
-
-    Most rays meet no glass, and need fewer registers. `finishing` 1: see cache_rays.finish_cache_shadow.
-    """
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        distance = paths.shadow_distance[slot]
-        if distance != 0.0:
-            face = wp.vec2i(-1, -1)
-            if distance > 0.0:
-                face = flat_blocker(scene.geometry, paths.shadow_origin[slot], paths.shadow_direction[slot], distance)
-            blocked = face[0] >= 0
-            if blocked and clear_triangle(scene, face[0], face[1])[3] != 0.0:
-                queue_out[wp.atomic_add(count_out, 0, 1)] = slot
-            elif finishing == 1:
-                finish_cache_shadow(paths, slot, blocked, filtered)
-            elif blocked:
-                paths.shadow_distance[slot] = 0.0
-
-
-@wp.kernel(cuda_max_registers=64)
-def sort_shadows(
-    # In:
-    scene: Scene,
-    filtered: int,
-    finishing: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    paths: Paths,
-    # Out:
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
-):
-    """Do as sort_flat_shadows in scenes where not all is flattened."""
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        distance = paths.shadow_distance[slot]
-        if distance != 0.0:
-            face = wp.vec2i(-1, -1)
-            if distance > 0.0:
-                face = any_blocker(scene.geometry, paths.shadow_origin[slot], paths.shadow_direction[slot], distance)
-            blocked = face[0] >= 0
-            if blocked and clear_triangle(scene, face[0], face[1])[3] != 0.0:
-                queue_out[wp.atomic_add(count_out, 0, 1)] = slot
-            elif finishing == 1:
-                finish_cache_shadow(paths, slot, blocked, filtered)
-            elif blocked:
-                paths.shadow_distance[slot] = 0.0

@@ -13,6 +13,7 @@ from ...kernels import (
     cache_materials,
     cache_programs,
     cache_rays,
+    clear_tracing,
     compaction,
     flat_tracing,
     fog_rays,
@@ -23,12 +24,13 @@ from ...kernels.fog import Fog
 from ...kernels.hash_grid import BUCKET, NO_CELL, HashGrid
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, Scene
+from ..clear_glass import passes_glass
 from ..device import launch
 from ..frame_graph import FrameGraph
 from ..settings import CacheKey, CacheSettings
-from ..structures import decides_layers, is_flat
+from ..structures import decides_layers, is_flat, without_opaque
 from ..work_list import WorkList
-from .layer_rays import record_clear_shadows, record_shadow_layers
+from .layer_rays import record_shadow_layers
 
 __all__ = [
     "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_materials",
@@ -200,7 +202,7 @@ def record_shadow_rays(
         queue: All slots, where there are triangles that need a test.
         under_way: Room for those that have a shadow ray.
         layered: Where there are triangles that need a test: room for those that transparent layers stand in the way of.
-        pending: Room for those that reach lights whose radiance is a program, or that glass stands in the way of.
+        pending: Room for those that reach lights whose radiance is a program.
         filtered: Whether the scene has triangles that need a test per hit (Structures.has_filtered).
         lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
         programs: Whether lights may be programs (DeviceScene.has_hit_programs).
@@ -210,9 +212,12 @@ def record_shadow_rays(
         graph.launch(fog_rays.dim_shadow_rays, count, [scene, fog, offset], [paths])
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
-    between = record_clear_shadows(
-        graph, scene, paths, under_way, pending.part(offset, count), filtered=filtered, finishing=True)
-    if between is scene and not (filtered and decides_layers(scene)):
+    between = scene
+    if passes_glass(scene):
+        dim = clear_tracing.dim_flat_cache_shadows if is_flat(scene) else clear_tracing.dim_cache_shadows
+        graph.launch_listed(dim, [scene, int(filtered)], under_way, [paths])
+        between = without_opaque(scene)
+    elif not filtered or not decides_layers(scene):
         trace = flat_tracing.trace_flat_cache_shadows if is_flat(scene) else cache_rays.trace_cache_shadows
         graph.launch_listed(trace, [scene, int(filtered)], under_way, [paths])
     if filtered:

@@ -34,7 +34,7 @@ from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import decides_layers, is_flat
-from ..work_list import every, make_queue, make_work_list, one_number
+from ..work_list import make_queue, make_work_list, one_number
 from .layer_rays import record_clear_shadows, record_shadow_layers
 
 __all__ = ["DirectLightPass", "has_lights"]
@@ -118,7 +118,6 @@ class DirectLightPass:
         self.rays = make_shadow_rays(self.slots, self.device, layers=filtered, programs=programs)
         self.queue = make_queue(self.slots if filtered or programs else 1, self.device)
         self.layered = make_work_list(self.slots if filtered else 1, self.device)
-        self.behind = make_work_list(self.slots if programs else 1, self.device)
 
     @property
     def emitters(self) -> wp.array:
@@ -180,7 +179,7 @@ class DirectLightPass:
         with graph.section("Direct shadows"):
             if fog is not None:
                 graph.launch(fog_rays.dim_shadow_rays, self.slots, [scene, fog, 0], [self.rays])
-            between = record_clear_shadows(graph, scene, self.rays, every(self.queue), self.behind)
+            between = record_clear_shadows(graph, scene, self.rays, self.slots)
             if between is scene and not (filtered and decides_layers(scene)):
                 trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
                 graph.launch(trace, self.slots, [scene], [self.rays])

@@ -34,7 +34,7 @@ from ..frame_graph import FrameGraph
 from ..history import History, copy_struct
 from ..shadow_rays import make_options, make_shadow_rays
 from ..structures import decides_layers, is_flat
-from ..work_list import every, make_queue, make_work_list, one_number
+from ..work_list import make_queue, make_work_list, one_number
 from .cache_spreading import LightPhase
 from .layer_rays import record_clear_shadows, record_shadow_layers
 
@@ -124,7 +124,6 @@ class FogPass:
             self._rays = make_shadow_rays(self.slots, self.device, layers=filtered, programs=True)
             self._queue = make_queue(self.slots, self.device)
             self._layered = make_work_list(self.slots if filtered else 1, self.device)
-            self._behind = make_work_list(self.slots, self.device)
 
     def record_samples(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer, fog: Fog,
@@ -168,7 +167,7 @@ class FogPass:
         """Record finding what becomes of the light of the samples."""
         slots = self.froxels + self.cells
         graph.launch(fog_rays.dim_shadow_rays, slots, [scene, fog, 0], [rays])
-        between = record_clear_shadows(graph, scene, rays, every(self._queue), self._behind)
+        between = record_clear_shadows(graph, scene, rays, slots)
         if between is scene and not (filtered and decides_layers(scene)):
             trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
             graph.launch(trace, slots, [scene], [rays])

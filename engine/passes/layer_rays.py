@@ -29,33 +29,15 @@ from ..work_list import WorkList, one_number
 __all__ = ["record_clear_shadows", "record_hits", "record_layers", "record_shadow_layers"]
 
 
-def record_clear_shadows(
-    graph: FrameGraph, scene: Scene, rays: Paths, under_way: WorkList, behind: WorkList, *, filtered: bool = False,
-    finishing: bool = False,
-) -> Scene:
-    """Record weakening listed shadow rays by the clear glass in their way, where there is any.
+def record_clear_shadows(graph: FrameGraph, scene: Scene, rays: Paths, count: int) -> Scene:
+    """Record weakening `count` shadow rays by the clear glass in their way, where there is any.
 
     Returns the scene among which to look for what else is in their way: opaque triangles have been then.
-
-    Args:
-        graph: What to add to.
-        scene: The scene.
-        rays: The shadow rays.
-        under_way: Those that there are.
-        behind: Room for those that glass stands in the way of.
-        filtered: As of cache_rays.finish_cache_shadow.
-        finishing: Whether to do as that.
     """
     if not passes_glass(scene):
         return scene
-    about, flat = [scene, int(filtered), int(finishing)], is_flat(scene)
-    if graph.cuda:
-        sort = clear_tracing.sort_flat_shadows if flat else clear_tracing.sort_shadows
-        graph.fill_list(sort, len(under_way.queue), [*about, rays], behind, over=under_way)
-    else:
-        behind = under_way
-    dim = clear_tracing.dim_flat_shadows if flat else clear_tracing.dim_shadows
-    graph.launch_listed(dim, about, behind, [rays], few=True)
+    dim = clear_tracing.dim_flat_shadows if is_flat(scene) else clear_tracing.dim_shadows
+    graph.launch(dim, count, [scene], [rays])
     return without_opaque(scene)
 
 

@@ -159,7 +159,7 @@ def pictures(delta, frames, settings=ALONE):
 def test_room_behind_a_window():
     """Light a room through a pane that is nearly air as through a hole: at once, and at rest, where pixels gather."""
     through, opened = (pictures(room(pane), (4, 4, 24)) for pane in (glass(ior=1.0001), None))
-    assert through / opened == pytest.approx(np.ones(3), rel=0.03)
+    assert through / opened == pytest.approx(np.ones(3), rel=0.05)
 
 
 def test_highlight_is_shown_once():
