@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names of a closure's arguments, and how a closure instruction is written: how many slots, which flags."""
+"""Names of a closure's arguments, and how a closure instruction is written and read: slots, flags, constants."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 
-__all__ = ["ARGUMENTS", "HAIR_ARGUMENTS", "closure_code", "slot_count"]
+if TYPE_CHECKING:
+    from .program import Program
+
+__all__ = ["ARGUMENTS", "HAIR_ARGUMENTS", "closure_code", "closure_constants", "closures", "slot_count"]
 
 ARGUMENTS = {
     "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
@@ -50,3 +56,20 @@ def closure_code(kind: str, multiscatter: bool, subsurface_method: str, *, film:
     method = getattr(codes, "SUBSURFACE_" + subsurface_method) if subsurface_method else 0
     flags = (codes.CLOSURE_MULTISCATTER if multiscatter else 0) | (codes.CLOSURE_FILM if film else 0)
     return getattr(kernel_types, "CLOSURE_" + kind) | flags | method << codes.CLOSURE_SUBSURFACE_SHIFT
+
+
+def closure_constants(program: Program) -> Iterator[tuple[int, list[tuple[float, ...] | None]]]:
+    """Yield each closure's kind (kernels.types.CLOSURE_*) and arguments by slot: four numbers, None where they vary."""
+    code = program.surface
+    for position, (head, _, words, _) in enumerate(code):
+        if head & 255 != codes.OP_CLOSURE:
+            continue
+        operands = [operand for line in code[position + 1:position + 1 + words] for operand in line[1:]]
+        arguments = [program.constants[-1 - operand] if operand < 0 else None for operand in operands]
+        yield head >> 16 & 255, arguments + [(0.0,) * 4] * (codes.ARGUMENT_COUNT - len(arguments))
+
+
+def closures(program: Program) -> Iterator[tuple[int, list[float | None]]]:
+    """Yield the same with the first number of each argument."""
+    for kind, arguments in closure_constants(program):
+        yield kind, [None if each is None else each[0] for each in arguments]

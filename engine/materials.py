@@ -111,7 +111,7 @@ class MaterialTable:
         """What they scatter below the surface"""
         self._programs: dict[Hashable, tuple[Program, int]] = {}
         self._used: frozenset[Hashable] | None = None
-        self._is_clear: dict[Hashable, bool] = {}
+        self._is_clear = np.zeros(0, bool)
         self._clear_in_use = False
         self.indices: dict[Hashable, int] = {}
         self.aov_starts: dict[str, np.ndarray] = {}
@@ -157,7 +157,7 @@ class MaterialTable:
         self.indices = {key: row for row, key in enumerate(everything)}
         records = np.zeros(len(everything), dtype=Material.numpy_dtype())
         self.uses_camera = world is not None and world.uses_camera
-        self._programs, self._is_clear = {}, {}
+        self._programs = {}
         clear = np.zeros((len(everything), 4), np.float32)
         for row, (key, data) in enumerate(everything.items()):
             twins = data.exact, data.hair
@@ -174,9 +174,8 @@ class MaterialTable:
             self.uses_camera |= data.program.uses_camera
             self._programs[key] = data.program, int(records[row]["flags"])
             clear[row] = clear_glass(data)
-            self._is_clear[key] = bool(clear[row, 3] > 0.0)
         self._used = None
-        self._clear = wp.array(clear, dtype=wp.vec4, device=self.device)
+        self._clear, self._is_clear = wp.array(clear, dtype=wp.vec4, device=self.device), clear[:, 3] > 0.0
         self.note_used(everything)
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
         self._add_aovs(table, [*(data.aovs for data in everything.values()), world_aovs or {}])
@@ -199,7 +198,7 @@ class MaterialTable:
         self._used = used
         programs, flags = zip(*(self._programs[key] for key in used), strict=True) if used else ((), ())
         self.reflectors = find_reflectors(programs)
-        self._clear_in_use = any(self._is_clear[key] for key in used)
+        self._clear_in_use = bool(self._is_clear[[self.index(key) for key in used]].any())
         self.subsurface = subsurface_use(flags)
         self.lean = LeanPrograms(
             *(all(each & bit for each in flags)

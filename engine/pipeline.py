@@ -20,6 +20,7 @@ from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
 from ..kernels.reflection_sources import DISTANCE_ROUGHNESS
 from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
+from ..kernels.types import Scene
 from .clear_glass import light_scene, passes_glass
 from .device import device_errors
 from .device_scene import DeviceScene
@@ -272,16 +273,16 @@ class Pipeline:
                 traced.options, traced.samples, jitter=self._settings.reflections.jitter)
 
     def _record_direct(
-        self, graph: FrameGraph, parity: int, phase: LightPhase, scene: DeviceScene, views: wp.array,
-        surfaces: GBuffer, fog: Fog | None,
+        self, graph: FrameGraph, parity: int, phase: LightPhase, scene: DeviceScene, kernels_scene: Scene,
+        views: wp.array, surfaces: GBuffer, fog: Fog | None,
     ) -> DirectLight:
-        """Record direct light and its filter."""
+        """Record direct light and its filter; `kernels_scene`: from light_scene."""
         graph.join(REPROJECTION)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         direct = self.direct.record(
-            graph, parity, light_scene(scene.scene, self._settings.direct_light), views, surfaces, before, reprojection,
-            self.split, filtered=scene.structures.has_filtered, textured=scene.emitters.textured,
-            local_power=scene.local_power, lean_layers=scene.material_table.lean.transparency,
+            graph, parity, kernels_scene, views, surfaces, before, reprojection, self.split,
+            filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
+            lean_layers=scene.material_table.lean.transparency,
             shaped=scene.material_table.reflectors.shaped, fog=fog)
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
@@ -337,7 +338,7 @@ class Pipeline:
                     graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
         with graph.branch(DIRECT):
-            direct = (self._record_direct(graph, parity, phase, scene, views, surfaces, fog) if lit
+            direct = (self._record_direct(graph, parity, phase, scene, kernels_scene, views, surfaces, fog) if lit
                       else self._black)
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         if fog is not None:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
+from .closure_arguments import closures
 from .program import Program
-from .report_realtime import closures
 
 __all__ = ["Reflectors", "find_reflectors"]
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 from ..kernels.rest_blend import TELLING_SAMPLES
+from .closure_arguments import closures
 from .passes.rest import SETTLING
 from .program import Program
 from .report import Report, ReportKind
@@ -182,14 +183,3 @@ def principled_facts(arguments: list[float | None]) -> Iterator[str | float]:
 def may_be(value: float | None, test: Callable[[float], bool]) -> bool:
     """Return whether a value passes a test, or varies and so may pass it somewhere."""
     return value is None or test(value)
-
-
-def closures(program: Program) -> Iterator[tuple[int, list[float | None]]]:
-    """Yield each closure's kind (kernels.types.CLOSURE_*) and arguments by slot: numbers, or None where they vary."""
-    code = program.surface
-    for position, (head, _, words, _) in enumerate(code):
-        if head & 255 != codes.OP_CLOSURE:
-            continue
-        operands = [operand for line in code[position + 1:position + 1 + words] for operand in line[1:]]
-        arguments = [program.constants[-1 - operand][0] if operand < 0 else None for operand in operands]
-        yield head >> 16 & 255, arguments + [0.0] * (codes.ARGUMENT_COUNT - len(arguments))

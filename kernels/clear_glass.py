@@ -21,6 +21,7 @@ import warp as wp
 from .flat_tracing import closest_flat
 from .fresnel import fresnel_dielectric
 from .geometry_math import max_component, transform_point
+from .ggx import reflect_about, refract_about
 from .intersect import MISS, Hit, closest_hit, triangle_material
 from .paths import Paths, store_hit
 from .sampling import hash_combine, hashed_unit
@@ -65,8 +66,10 @@ class ClearWay:
     """1: in glass; of paths' shadow rays"""
     shift: wp.vec2
     """By how much the light seems closer across its plane of incidence and in it; of paths' shadow rays"""
+    again: int
+    """1: it has met the same surface once more, which counts once"""
     open: int
-    """1: it looks on, 2: it has met the same surface again"""
+    """1: it looks on"""
 
 
 @wp.func
@@ -86,12 +89,6 @@ def first_way(origin: wp.vec3, direction: wp.vec3) -> ClearWay:
 def clear_triangle(scene: Scene, instance: int, triangle: int) -> wp.vec4:
     """Return the tint of a triangle and its index of refraction, 0 where it isn't clear glass; see Materials.clear."""
     return scene.materials.clear[triangle_material(scene, instance, triangle)]
-
-
-@wp.func
-def clear_material(scene: Scene, hit: Hit) -> wp.vec4:
-    """Return clear_triangle of a hit."""
-    return clear_triangle(scene, hit.instance, hit.triangle)
 
 
 @wp.func
@@ -117,30 +114,26 @@ def take_hit(way: ClearWay, found: Hit) -> ClearWay:
     # Twice as far where the last step was lost to rounding.
     step = wp.where(again, 2.0 * (result.hit.t - way.hit.t), 0.0)
     result.start = result.hit.t + wp.max(STEP * size, step)
-    # The same surface once more counts once.
-    result.open = wp.where(again, 2, 1)
+    result.again = wp.where(again, 1, 0)
     return result
 
 
 @wp.func
 def bend(direction: wp.vec3, normal: wp.vec3, ior: float) -> wp.vec3:
     """Return a direction that a surface has refracted; the one reflected where it can't get out."""
-    cosine = wp.dot(direction, normal)
-    eta = wp.where(cosine < 0.0, 1.0 / ior, ior)
-    below = 1.0 - eta * eta * (1.0 - cosine * cosine)
-    if below <= 0.0:
-        return direction - normal * (2.0 * cosine)
-    return direction * eta + normal * (wp.sign(cosine) * wp.sqrt(below) - eta * cosine)
+    entering = wp.dot(direction, normal) < 0.0
+    facing = wp.where(entering, normal, -normal)
+    bent = refract_about(-direction, facing, wp.where(entering, ior, 1.0 / ior))
+    if wp.length_sq(bent) > 0.0:
+        return bent
+    return reflect_about(-direction, facing)
 
 
 @wp.func
 def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
     """Return a shadow ray's state at a hit: weakened by clear glass, black at anything else."""
     result = way
-    if way.open == 2:
-        result.open = 1
-        return result
-    material = clear_material(scene, way.hit)
+    material = clear_triangle(scene, way.hit.instance, way.hit.triangle)
     if material[3] == 0.0 or way.surfaces > MOST_SURFACES:
         result.light = wp.vec3(0.0, 0.0, 0.0)
         result.open = 0
@@ -163,10 +156,7 @@ def dim_at_hit(scene: Scene, way: ClearWay) -> ClearWay:
 def pass_by_chance(scene: Scene, way: ClearWay, seed: wp.uint32) -> ClearWay:
     """Return a ray's state at a hit: from clear glass it goes on by chance, behind it or reflected."""
     result = way
-    if way.open == 2:
-        result.open = 1
-        return result
-    material = clear_material(scene, way.hit)
+    material = clear_triangle(scene, way.hit.instance, way.hit.triangle)
     if material[3] == 0.0 or way.surfaces > MOST_SURFACES:
         result.open = 0
         if material[3] != 0.0:
@@ -213,7 +203,7 @@ def follow_flat(scene: Scene, paths: Paths, slot: int):
             scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = pass_by_chance(scene, way, ray_chance(paths, slot))
     end_way(paths, slot, way)
 
@@ -228,7 +218,7 @@ def follow_all(scene: Scene, paths: Paths, slot: int):
             scene.geometry, way.origin + way.direction * way.start, way.direction, limit - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = pass_by_chance(scene, way, ray_chance(paths, slot))
     end_way(paths, slot, way)
 
@@ -257,18 +247,35 @@ def any_blocker(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, distanc
 
 
 @wp.func
-def dim_flat(scene: Scene, paths: Paths, slot: int, distance: float):
-    """Weaken a shadow ray by clear glass; its distance becomes 0 where anything opaque blocks it.
+def looks_on(scene: Scene, face: wp.vec2i, smooth: bool, paths: Paths, slot: int) -> bool:
+    """Return whether a shadow ray has to look closer by what it meets first, wherever that lies; else it is done.
 
-    What it meets first, wherever that lies, tells most of them whether they have to look on.
+    Its distance becomes 0 where that is no clear glass; with `smooth`, no smooth one.
     """
+    if face[0] < 0:
+        return False
+    ior = clear_triangle(scene, face[0], face[1])[3]
+    if ior == 0.0 or (smooth and ior < 0.0):
+        paths.shadow_distance[slot] = 0.0
+        return False
+    return True
+
+
+@wp.func
+def end_dimmed(paths: Paths, slot: int, share: wp.vec3):
+    """Weaken a shadow ray's light to a share; its distance becomes 0 where nothing is left."""
+    if max_component(share) > 0.0:
+        paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], share)
+    else:
+        paths.shadow_distance[slot] = 0.0
+
+
+@wp.func
+def dim_flat(scene: Scene, paths: Paths, slot: int, distance: float):
+    """Weaken a shadow ray by clear glass; its distance becomes 0 where anything opaque blocks it."""
     origin = paths.shadow_origin[slot]
     direction = paths.shadow_direction[slot]
-    face = flat_blocker(scene.geometry, origin, direction, distance)
-    if face[0] < 0:
-        return
-    if clear_triangle(scene, face[0], face[1])[3] == 0.0:
-        paths.shadow_distance[slot] = 0.0
+    if not looks_on(scene, flat_blocker(scene.geometry, origin, direction, distance), False, paths, slot):
         return
     way = first_way(origin, direction)
     while way.open == 1:
@@ -276,12 +283,9 @@ def dim_flat(scene: Scene, paths: Paths, slot: int, distance: float):
             scene.geometry, origin + direction * way.start, direction, distance - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = dim_at_hit(scene, way)
-    if max_component(way.light) > 0.0:
-        paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], way.light)
-    else:
-        paths.shadow_distance[slot] = 0.0
+    end_dimmed(paths, slot, way.light)
 
 
 @wp.func
@@ -289,11 +293,7 @@ def dim_all(scene: Scene, paths: Paths, slot: int, distance: float):
     """Do as dim_flat in scenes where not all is flattened."""
     origin = paths.shadow_origin[slot]
     direction = paths.shadow_direction[slot]
-    face = any_blocker(scene.geometry, origin, direction, distance)
-    if face[0] < 0:
-        return
-    if clear_triangle(scene, face[0], face[1])[3] == 0.0:
-        paths.shadow_distance[slot] = 0.0
+    if not looks_on(scene, any_blocker(scene.geometry, origin, direction, distance), False, paths, slot):
         return
     way = first_way(origin, direction)
     while way.open == 1:
@@ -301,9 +301,6 @@ def dim_all(scene: Scene, paths: Paths, slot: int, distance: float):
             scene.geometry, origin + direction * way.start, direction, distance - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = dim_at_hit(scene, way)
-    if max_component(way.light) > 0.0:
-        paths.shadow_light[slot] = wp.cw_mul(paths.shadow_light[slot], way.light)
-    else:
-        paths.shadow_distance[slot] = 0.0
+    end_dimmed(paths, slot, way.light)

@@ -20,21 +20,22 @@ from .clear_glass import (
     ClearWay,
     any_blocker,
     bend,
-    clear_material,
     clear_triangle,
+    end_dimmed,
     first_way,
     flat_blocker,
     glass_normal,
+    looks_on,
     take_hit,
 )
 from .flat_tracing import closest_flat
 from .fresnel import fresnel_dielectric
-from .geometry_math import max_component, normalize_or, transform_normal
+from .geometry_math import normalize_or, transform_normal
 from .intersect import MISS, Hit, closest_hit
 from .lamp_hit import FAR
 from .paths import Paths
 from .types import VISIBLE_TRANSMISSION, Bsdf, BsdfSample, Scene, ShadingPoint
-from .wide_loads import load_instance, load_normal
+from .wide_loads import interpolated_normal, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -91,9 +92,7 @@ def pane_length(scene: Scene, paths: Paths, path: int) -> float:
 def is_plain(scene: Scene, hit: Hit, normal: wp.vec3) -> bool:
     """Return whether the normal of a hit is that of its triangle."""
     row = load_instance(scene.geometry.instances, hit.instance)
-    local = (load_normal(scene.geometry, hit.triangle, 0) * (1.0 - hit.u - hit.v)
-             + load_normal(scene.geometry, hit.triangle, 1) * hit.u
-             + load_normal(scene.geometry, hit.triangle, 2) * hit.v)
+    local = interpolated_normal(scene.geometry, hit.triangle, hit.u, hit.v)
     n = normalize_or(transform_normal(row.to_object, local), normal)
     # Either may point inwards.
     return wp.min(wp.length_sq(n - normal), wp.length_sq(n + normal)) < NORMAL_MAX
@@ -103,10 +102,7 @@ def is_plain(scene: Scene, hit: Hit, normal: wp.vec3) -> bool:
 def dim_strictly(scene: Scene, way: ClearWay) -> ClearWay:
     """Return a shadow ray's state at a hit as clear_glass.dim_at_hit, black at all that is no pane."""
     result = way
-    if way.open == 2:
-        result.open = 1
-        return result
-    material = clear_material(scene, way.hit)
+    material = clear_triangle(scene, way.hit.instance, way.hit.triangle)
     normal = glass_normal(scene, way.hit)
     cosine = wp.dot(normal, way.direction)
     # Entered from outside, or left.
@@ -138,14 +134,13 @@ def dim_strictly(scene: Scene, way: ClearWay) -> ClearWay:
 @wp.func
 def end_strictly(paths: Paths, path: int, way: ClearWay, distance: float):
     """Weaken a shadow ray's light by the panes in its way; its distance becomes 0 where it doesn't arrive."""
-    if max_component(way.light) > 0.0 and way.inside == 0:
-        denser = float(1.0)
-        if distance < FAR:
-            left = wp.max(wp.vec2(1.0, 1.0) - way.shift / distance, wp.vec2(SHIFT_MIN, SHIFT_MIN))
-            denser = 1.0 / (left[0] * left[1])
-        paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], way.light) * denser
-    else:
-        paths.shadow_distance[path] = 0.0
+    share = way.light
+    if way.inside == 1:
+        share = wp.vec3(0.0, 0.0, 0.0)
+    if distance < FAR:
+        left = wp.max(wp.vec2(1.0, 1.0) - way.shift / distance, wp.vec2(SHIFT_MIN, SHIFT_MIN))
+        share = share / (left[0] * left[1])
+    end_dimmed(paths, path, share)
 
 
 @wp.func
@@ -153,11 +148,7 @@ def dim_path_flat(scene: Scene, paths: Paths, path: int, distance: float):
     """Weaken a path's shadow ray by panes; its distance becomes 0 where anything else blocks it."""
     origin = paths.shadow_origin[path]
     direction = paths.shadow_direction[path]
-    face = flat_blocker(scene.geometry, origin, direction, distance)
-    if face[0] < 0:
-        return
-    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
-        paths.shadow_distance[path] = 0.0
+    if not looks_on(scene, flat_blocker(scene.geometry, origin, direction, distance), True, paths, path):
         return
     way = first_way(origin, direction)
     while way.open == 1:
@@ -165,7 +156,7 @@ def dim_path_flat(scene: Scene, paths: Paths, path: int, distance: float):
             scene.geometry, origin + direction * way.start, direction, distance - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = dim_strictly(scene, way)
     end_strictly(paths, path, way, distance)
 
@@ -175,11 +166,7 @@ def dim_path_all(scene: Scene, paths: Paths, path: int, distance: float):
     """Do as dim_path_flat in scenes where not all is flattened."""
     origin = paths.shadow_origin[path]
     direction = paths.shadow_direction[path]
-    face = any_blocker(scene.geometry, origin, direction, distance)
-    if face[0] < 0:
-        return
-    if clear_triangle(scene, face[0], face[1])[3] <= 0.0:
-        paths.shadow_distance[path] = 0.0
+    if not looks_on(scene, any_blocker(scene.geometry, origin, direction, distance), True, paths, path):
         return
     way = first_way(origin, direction)
     while way.open == 1:
@@ -187,6 +174,6 @@ def dim_path_all(scene: Scene, paths: Paths, path: int, distance: float):
             scene.geometry, origin + direction * way.start, direction, distance - way.start))
         if way.hit.instance == MISS:
             way.open = 0
-        else:
+        elif way.again == 0:
             way = dim_strictly(scene, way)
     end_strictly(paths, path, way, distance)

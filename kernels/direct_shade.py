@@ -40,7 +40,7 @@ from .paths import Paths
 from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
 from .view import View, pixel_footprint
-from .wide_loads import load_instance, load_normal
+from .wide_loads import interpolated_normal, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -99,8 +99,7 @@ def smooth_normal(scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) 
     """Return the interpolated normal of a pixel's surface, without normal map or bump, as surface_point has it."""
     hit = gbuffer.hit[pixel]
     b = barycentrics_of(gbuffer, pixel)
-    local = (load_normal(scene.geometry, hit[1], 0) * (1.0 - b[0] - b[1])
-             + load_normal(scene.geometry, hit[1], 1) * b[0] + load_normal(scene.geometry, hit[1], 2) * b[1])
+    local = interpolated_normal(scene.geometry, hit[1], b[0], b[1])
     side = wp.where((gbuffer.material[pixel] & SURFACE_BACKFACING) != wp.uint32(0), -1.0, 1.0)
     world = transform_normal(load_instance(scene.geometry.instances, hit[0]).to_object, local)
     return normalize_or(world * side, surface.geometric_normal)

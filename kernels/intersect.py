@@ -24,7 +24,7 @@ from .wide_instances import (
     shadow_layer_in_instances,
 )
 from .wide_layers import closest_layer_wide, shadow_layer_wide
-from .wide_loads import load_corner, load_instance, load_material_flags, load_normal, load_slot
+from .wide_loads import interpolated_normal, load_corner, load_instance, load_material_flags, load_slot
 
 # Nothing was hit.
 MISS = wp.constant(-1)
@@ -242,11 +242,7 @@ def surface_point(scene: Scene, hit: Hit, direction: wp.vec3) -> ShadingPoint:
     p1 = transform_point(instance.to_world, load_corner(geometry, hit.triangle, 1))
     p2 = transform_point(instance.to_world, load_corner(geometry, hit.triangle, 2))
     w = 1.0 - hit.u - hit.v
-    local_normal = (
-        load_normal(geometry, hit.triangle, 0) * w
-        + load_normal(geometry, hit.triangle, 1) * hit.u
-        + load_normal(geometry, hit.triangle, 2) * hit.v
-    )
+    local_normal = interpolated_normal(geometry, hit.triangle, hit.u, hit.v)
     flip = wp.where(instance.flipped == 1, -1.0, 1.0)
     ng = normalize_or(wp.cross(p1 - p0, p2 - p0) * flip, -direction)
     n = normalize_or(transform_normal(instance.to_object, local_normal), ng)

@@ -22,7 +22,7 @@ from .types import (
     Scene,
     ShadingPoint,
 )
-from .wide_loads import load_corner, load_normal, load_vec2, load_vec4
+from .wide_loads import interpolated_normal, load_corner, load_vec2, load_vec4
 
 
 @wp.func
@@ -98,11 +98,7 @@ def attribute_value(scene: Scene, point: ShadingPoint, instance: Instance, attri
 @wp.func
 def object_normal(scene: Scene, point: ShadingPoint) -> wp.vec3:
     """Return the interpolated normal in object space, not normalised, on the triangle's front."""
-    return (
-        load_normal(scene.geometry, point.triangle, 0) * (1.0 - point.u - point.v)
-        + load_normal(scene.geometry, point.triangle, 1) * point.u
-        + load_normal(scene.geometry, point.triangle, 2) * point.v
-    )
+    return interpolated_normal(scene.geometry, point.triangle, point.u, point.v)
 
 
 @wp.func

@@ -35,7 +35,7 @@ from .types import (
     Scene,
     ShadingPoint,
 )
-from .wide_loads import load_normal
+from .wide_loads import interpolated_normal
 
 __all__ = ["Rays", "program_start", "run_exact"]
 
@@ -154,11 +154,7 @@ def cubic_radius(xi: float) -> float:
 @wp.func
 def met_normal(scene: Scene, instance: Instance, triangle: int, u: float, v: float, front: wp.vec3) -> wp.vec3:
     """Return the interpolated normal of the object in world space, on the triangle's front."""
-    local = (
-        load_normal(scene.geometry, triangle, 0) * (1.0 - u - v)
-        + load_normal(scene.geometry, triangle, 1) * u
-        + load_normal(scene.geometry, triangle, 2) * v
-    )
+    local = interpolated_normal(scene.geometry, triangle, u, v)
     return normalize_or(transform_normal(instance.to_object, local), front)
 
 

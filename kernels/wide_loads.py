@@ -18,10 +18,10 @@ from .types import Geometry, Instance, Material, TextureInfo
 from .view import View
 
 __all__ = [
-    "PairOfWords", "load_corner", "load_eight_bytes", "load_float", "load_four_floats", "load_instance",
-    "load_material_flags", "load_normal", "load_piece", "load_previous_view", "load_slab_square", "load_slot",
-    "load_square", "load_texture_info", "load_two_floats", "load_two_words", "load_uint", "load_vec2", "load_vec4",
-    "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
+    "PairOfWords", "interpolated_normal", "load_corner", "load_eight_bytes", "load_float", "load_four_floats",
+    "load_instance", "load_material_flags", "load_normal", "load_piece", "load_previous_view", "load_slab_square",
+    "load_slot", "load_square", "load_texture_info", "load_two_floats", "load_two_words", "load_uint", "load_vec2",
+    "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
 ]
 
 PairOfWords = wp.types.vector(length=2, dtype=wp.uint64)
@@ -255,6 +255,16 @@ def load_normal(geometry: Geometry, triangle: int, corner: int) -> wp.vec3:
     """Return the normal at one of a triangle's corners in object space."""
     row = load_vec4(geometry.corners, 6 * triangle + 3 + corner)
     return wp.vec3(row[0], row[1], row[2])
+
+
+@wp.func
+def interpolated_normal(geometry: Geometry, triangle: int, u: float, v: float) -> wp.vec3:
+    """Return the normal within a triangle in object space, not normalised; u, v: weights of its last two corners."""
+    return (
+        load_normal(geometry, triangle, 0) * (1.0 - u - v)
+        + load_normal(geometry, triangle, 1) * u
+        + load_normal(geometry, triangle, 2) * v
+    )
 
 
 @wp.func

@@ -14,7 +14,6 @@ from ...kernels import (
     direct_shade,
     direct_shadow,
     direct_shapes,
-    flat_tracing,
     fog_rays,
     shadow_lights,
 )
@@ -33,9 +32,8 @@ from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
-from ..structures import decides_layers, is_flat
 from ..work_list import make_queue, make_work_list, one_number
-from .layer_rays import record_clear_shadows, record_shadow_layers
+from .layer_rays import record_shadows
 
 __all__ = ["DirectLightPass", "has_lights"]
 
@@ -179,13 +177,8 @@ class DirectLightPass:
         with graph.section("Direct shadows"):
             if fog is not None:
                 graph.launch(fog_rays.dim_shadow_rays, self.slots, [scene, fog, 0], [self.rays])
-            between = record_clear_shadows(graph, scene, self.rays, self.slots)
-            if between is scene and not (filtered and decides_layers(scene)):
-                trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
-                graph.launch(trace, self.slots, [scene], [self.rays])
-            if filtered:
-                record_shadow_layers(
-                    graph, between, self.rays, 0, self.slots, self.queue, self.layered, bounces=0, lean=lean_layers)
+            record_shadows(
+                graph, scene, self.rays, self.slots, self.queue, self.layered, filtered=filtered, lean=lean_layers)
             if textured:
                 shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])

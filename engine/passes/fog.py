@@ -12,8 +12,6 @@ from __future__ import annotations
 import warp as wp
 
 from ...kernels import (
-    direct_shadow,
-    flat_tracing,
     fog_blend,
     fog_composite,
     fog_rays,
@@ -33,10 +31,9 @@ from ..fog import MOST_CELLS, FogData, fog_struct
 from ..frame_graph import FrameGraph
 from ..history import History, copy_struct
 from ..shadow_rays import make_options, make_shadow_rays
-from ..structures import decides_layers, is_flat
 from ..work_list import make_queue, make_work_list, one_number
 from .cache_spreading import LightPhase
-from .layer_rays import record_clear_shadows, record_shadow_layers
+from .layer_rays import record_shadows
 
 __all__ = ["FOG", "FogPass"]
 
@@ -167,13 +164,7 @@ class FogPass:
         """Record finding what becomes of the light of the samples."""
         slots = self.froxels + self.cells
         graph.launch(fog_rays.dim_shadow_rays, slots, [scene, fog, 0], [rays])
-        between = record_clear_shadows(graph, scene, rays, slots)
-        if between is scene and not (filtered and decides_layers(scene)):
-            trace = flat_tracing.trace_flat_shadows if is_flat(scene) else direct_shadow.trace_direct_shadows
-            graph.launch(trace, slots, [scene], [rays])
-        if filtered:
-            record_shadow_layers(
-                graph, between, rays, 0, slots, self._queue, self._layered, bounces=0, lean=lean_layers)
+        record_shadows(graph, scene, rays, slots, self._queue, self._layered, filtered=filtered, lean=lean_layers)
         if textured:
             graph.launch_queued(
                 shadow_lights.shade_lights, [scene, make_options(filtered=filtered), one_number(0, self.device)],

@@ -11,6 +11,7 @@ from ...kernels import (
     compaction,
     decided_instances,
     decided_layers,
+    direct_shadow,
     flat_tracing,
     layers,
     layers_lean,
@@ -26,19 +27,34 @@ from ..shadow_rays import make_options
 from ..structures import decides_layers, is_flat, without_opaque
 from ..work_list import WorkList, one_number
 
-__all__ = ["record_clear_shadows", "record_hits", "record_layers", "record_shadow_layers"]
+__all__ = ["record_hits", "record_layers", "record_shadow_layers", "record_shadows"]
 
 
-def record_clear_shadows(graph: FrameGraph, scene: Scene, rays: Paths, count: int) -> Scene:
-    """Record weakening `count` shadow rays by the clear glass in their way, where there is any.
+def record_shadows(
+    graph: FrameGraph, scene: Scene, rays: Paths, count: int, queue: wp.array, layered: WorkList, *, filtered: bool,
+    lean: bool,
+) -> None:
+    """Record finding what is in the way of `count` shadow rays from visible places, and weakening or ending them.
 
-    Returns the scene among which to look for what else is in their way: opaque triangles have been then.
+    Args:
+        graph: What to add to.
+        scene: The scene.
+        rays: The shadow rays.
+        count: Their number.
+        queue: All slots, where any triangle needs a test.
+        layered: Room for those that layers stand in the way of.
+        filtered: Whether any triangle needs a test per hit.
+        lean: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
     """
-    if not passes_glass(scene):
-        return scene
-    dim = clear_tracing.dim_flat_shadows if is_flat(scene) else clear_tracing.dim_shadows
-    graph.launch(dim, count, [scene], [rays])
-    return without_opaque(scene)
+    between, flat = scene, is_flat(scene)
+    if passes_glass(scene):
+        graph.launch(clear_tracing.dim_flat_shadows if flat else clear_tracing.dim_shadows, count, [scene], [rays])
+        between = without_opaque(scene)
+    elif not (filtered and decides_layers(scene)):
+        trace = flat_tracing.trace_flat_shadows if flat else direct_shadow.trace_direct_shadows
+        graph.launch(trace, count, [scene], [rays])
+    if filtered:
+        record_shadow_layers(graph, between, rays, 0, count, queue, layered, bounces=0, lean=lean)
 
 
 def record_hits(
