@@ -11,7 +11,7 @@ from .light_linking import emitted_visibility, received_bits
 from .scene import InstanceTable, Key, MaterialData
 from .structures import RAY_KINDS
 
-__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "moved_rows", "scene_origin", "stops_all",
+__all__ = ["filtered_groups", "instance_bounds", "instance_rows", "inverses", "moved_rows", "scene_origin", "stops_all",
            "write_places"]
 
 LEAST_SCALE = 1e-25
@@ -149,7 +149,7 @@ def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, c
         safe = matrices.copy()
         safe[flat] = np.eye(4)
     with np.errstate(over="ignore"):
-        inverse = _inverses(safe).astype(np.float32)
+        inverse = inverses(safe).astype(np.float32)
     flat = np.flatnonzero(flat | ~np.isfinite(inverse).reshape(-1, 16).all(1))
     if len(flat):
         inverse[flat] = _inverse_of_flat(matrices[flat])
@@ -158,17 +158,14 @@ def write_places(rows: np.ndarray, transforms: np.ndarray, origin: np.ndarray, c
     rows["flipped"][chosen] = determinant < 0
 
 
-def _inverses(matrices: np.ndarray) -> np.ndarray:
-    """Return inverses of matrices [N, 4, 4], NaN for those that have none.
-
-    One whose upper part has a tiny determinant may be singular as a whole, by rounding.
-    """
+def inverses(matrices: np.ndarray) -> np.ndarray:
+    """Return inverses of transforms, float64 [N, 4, 4]; of those that have none, as if they were a little higher."""
     try:
         return np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
         if len(matrices) == 1:
-            return np.full_like(matrices, np.nan)
-        return np.concatenate([_inverses(matrices[i : i + 1]) for i in range(len(matrices))])
+            return _inverse_of_flat(matrices)
+        return np.concatenate([inverses(matrices[i : i + 1]) for i in range(len(matrices))])
 
 
 def _inverse_of_flat(matrices: np.ndarray) -> np.ndarray:
@@ -186,4 +183,4 @@ def _inverse_of_flat(matrices: np.ndarray) -> np.ndarray:
     linear = np.einsum("nji,nj,nkj->nik", v, 1.0 / sizes, u)
     made[drawn, :3, :3] = linear[drawn]
     made[drawn, :3, 3] = -np.einsum("nij,nj->ni", linear, matrices[:, :3, 3])[drawn]
-    return made.astype(np.float32)
+    return made

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.volume_grids import Field, VolumeGrid, Volumes
+from .instance_rows import inverses
 from .volume_bake import BakedGrid, Box, Oven, bake_boxes, concatenated, field_rows
 from .volume_data import VolumeData
 from .volume_program import VaryingData
@@ -232,4 +233,4 @@ class SceneVolumes:
         matrix = source.table.transforms[instance].copy()
         matrix[:3, 3] -= source.origin
         volume = self._volume(source, instance)
-        return np.linalg.inv(matrix if volume is None else matrix @ volume.to_object)
+        return inverses((matrix if volume is None else matrix @ volume.to_object)[None])[0]

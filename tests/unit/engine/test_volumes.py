@@ -173,3 +173,12 @@ def test_no_input_makes_a_bad_pixel(extinction):
     """Stay finite."""
     picture = shot(boxes(gradient((extinction, 1.0, 0.0), (0.5, 0.5, 1e25), (1e20, 0.0, 0.0))), 2).read()
     assert np.isfinite(picture).all() and picture.min() >= 0.0
+
+
+def test_flat_objects_hold_nothing():
+    """Draw the world as it is where an object with a medium that varies has been made flat, which has no inverse."""
+    delta = boxes(gradient((1.0, 1.0, 1.0)))
+    flat = np.array(delta.instances.transforms)
+    flat[:, :, 0] = 0.0
+    delta = dataclasses.replace(delta, instances=dataclasses.replace(delta.instances, transforms=flat))
+    assert seen(delta, 4) == pytest.approx(1.0, abs=1.0e-3)
