@@ -175,7 +175,7 @@ class MaterialTable:
             self._programs[key] = data.program, int(records[row]["flags"])
             clear[row] = clear_glass(data)
         self._used = None
-        self._clear, self._is_clear = wp.array(clear, dtype=wp.vec4, device=self.device), clear[:, 3] > 0.0
+        self._clear, self._is_clear = wp.array(clear, dtype=wp.vec4, device=self.device), clear[:, 3] != 0.0
         self.note_used(everything)
         world_start = table.add_code(world.emission, world, table.add_tables(world)) if world else 0
         self._add_aovs(table, [*(data.aovs for data in everything.values()), world_aovs or {}])

@@ -103,6 +103,19 @@ def test_which_materials_are_clear(material, clear):
     assert (clear_glass(material)[3] != 0.0) == clear
 
 
+@pytest.mark.parametrize("material", [
+    glass(roughness=0.2), principled(thin_wall=1.0), scenes.material("REFRACTION", color=1.0, ior=1.3)],
+    ids=["rough", "thin wall", "refraction alone"])
+def test_glass_that_paths_do_not_share(material):
+    """Let light through glass in frames, too, where path tracing samples no lights behind it."""
+    def direct(panes):
+        _, session = scenes.render(
+            under(panes, [sun()]), scenes.camera_above(0.9), SIZE, 8, ALONE, ("Combined", "Diffuse Direct"))
+        return session.read("Diffuse Direct")[4:-4, 4:-4, :3].mean()
+
+    assert 0.8 < direct([(PANE, material)]) / direct([]) < 1.05
+
+
 @pytest.mark.parametrize("height", [0.95, 1.5], ids=["before the pane", "behind it"])
 def test_other_things_cast_shadows(height):
     """Keep the shadow of something solid on either side of a pane."""
