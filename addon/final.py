@@ -179,7 +179,7 @@ class FinalRender:
             self.scene = depsgraph.scene_eval
         self.progress.stage("Reading the scene")
         delta = extractor.extract(depsgraph, viewport=False, report=self.report, progress=self.progress.stage,
-                                  cancelled=self.engine.test_break)
+                                  cancelled=self.engine.test_break, performance=self.settings.performance)
         self.facts = scene_facts(
             extractor.materials(), extractor.linked_materials(), extractor.world, catchers=extractor.has_catchers)
         session.update(delta, self.progress.stage)

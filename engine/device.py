@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 
 import warp as wp
 
@@ -24,7 +25,7 @@ from .settings import Device
 
 __all__ = [
     "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "kernel_cache_folder", "launch",
-    "run_bands", "start_warp", "thread_count", "use_threads",
+    "launch_bands", "run_bands", "start_warp", "thread_count", "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -47,6 +48,9 @@ BLOCK_SIZES = dict.fromkeys(
      "reflection_upscale", "fog_blend", "fog_composite", "fog_rays", "fog_samples"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
+
+BAND = 4096
+"""Elements for which another thread is worth its start"""
 
 _start_lock = threading.Lock()
 _started = False
@@ -235,6 +239,15 @@ def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: s
     """Launch a kernel over `count` threads with its module's block size."""
     _load(kernel, device)
     wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))
+
+
+def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
+    """Launch a kernel over elements from `first` on, on the CPU in bands on all cores."""
+    device = outputs[0].device
+    size = max(count // thread_count() + 1, BAND) if device.is_cpu else count
+    run_bands([
+        partial(launch, kernel, min(size, first + count - start), [start, *inputs], outputs, device.alias)
+        for start in range(first, first + count, size)])
 
 
 def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str, count: int = 1) -> wp.Launch:

@@ -131,13 +131,12 @@ class DeviceScene:
         tell("Textures", 0.0)
         with self._timed("textures"):
             if delta.images or delta.full:
-                self.textures.update(delta.images, settings, self.report)
+                self.textures.update(delta.images, settings, self.report, delta.loading)
         tell("Geometry", 0.2)
         changed_meshes = set(delta.meshes)
         with self._timed("upload"):
-            for key, mesh in delta.meshes.items():
-                rebuild = rebuild or key not in self.store.ranges
-                self.store.put(key, mesh)
+            rebuild = rebuild or not self.store.ranges.keys() >= delta.meshes.keys()
+            self.store.put(delta.meshes)
         if delta.world is not None:
             self.world = delta.world
         moved, relinked = np.zeros(0, np.int64), False

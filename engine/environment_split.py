@@ -38,8 +38,11 @@ CLOSE_LOOKS = 1 << 19
 POINTS_MAX = 40
 """Points a side at which a texel is looked at: a sun of half a degree covers some hundred of them"""
 
-CHUNK = 1 << 16
+CHUNK = 1 << 18
 """Directions evaluated at once"""
+
+PRECISION = 1e-9
+"""Relative change of the threshold that ends its search"""
 
 
 def no_split(device: str) -> EnvironmentSplit:
@@ -144,13 +147,16 @@ def _threshold(mean: np.ndarray, solid_angle: np.ndarray) -> float:
 
     The mean of all light itself would be drawn up by the very sun that is to be cut out.
     """
-    whole = (mean * solid_angle).sum()
+    mean, solid_angle = mean.ravel(), np.ravel(solid_angle)
+    whole = float(mean @ solid_angle)
     threshold = THRESHOLD_RATIO * whole
     for _ in range(16):
-        soft = (np.minimum(mean, threshold) * solid_angle).sum()
+        before, soft = threshold, float(np.minimum(mean, threshold) @ solid_angle)
         # A sun in a black sky has no soft part: keep the threshold above nothing.
         threshold = max(THRESHOLD_RATIO * soft, 1e-3 * whole)
-    return float(threshold)
+        if abs(threshold - before) <= PRECISION * before:
+            break
+    return threshold
 
 
 def _dilate(values: np.ndarray) -> np.ndarray:
@@ -174,12 +180,13 @@ def _look_closely(
 ) -> np.ndarray:
     """Return the world's radiance, unfiltered, at points x points places in each texel: [texels, points^2, 3]."""
     steps = (np.arange(points) + 0.5) / points
-    x = ((texels % width)[:, None, None] + steps[None, None, :]) / width
-    y = ((texels // width)[:, None, None] + steps[None, :, None]) / height
-    phi, theta = np.broadcast_arrays(2.0 * np.pi * x, np.pi * y)
-    directions = np.stack(
-        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
-    radiance = _evaluate(scene, directions.astype(np.float32), device)
+    phi = (2.0 * np.pi / width) * ((texels % width)[:, None] + steps)
+    theta = (np.pi / height) * ((texels // width)[:, None] + steps)
+    directions = np.empty((len(texels), points, points, 3), np.float32)
+    directions[..., 0] = np.sin(theta)[:, :, None] * np.cos(phi)[:, None, :]
+    directions[..., 1] = np.sin(theta)[:, :, None] * np.sin(phi)[:, None, :]
+    directions[..., 2] = np.cos(theta)[:, :, None]
+    radiance = _evaluate(scene, directions.reshape(-1, 3), device)
     radiance[~np.isfinite(radiance).all(1)] = 0.0
     return np.maximum(radiance, 0.0).reshape(len(texels), points * points, 3)
 

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All unique meshes' arrays on the device, one after another in growing buffers: an edit uploads its mesh alone."""
+"""All unique meshes' arrays on the device, one after another in growing buffers: an edit uploads its mesh alone.
+
+What several meshes bring goes up together: the transfers of a small one take longer than its bytes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 
+from ..kernels.flatten import write_corners
+from .device import launch_bands
 from .scene import Key, MeshData
 from .volume_data import VolumeData
 
@@ -50,31 +56,36 @@ class MeshRange:
 
 
 class _Buffer:
-    """One device array with spare room at the end."""
+    """One device array with spare room at the end; what is written to it gets there with `flush`."""
 
     def __init__(self, dtype: type, device: str):
         self.dtype = dtype
         self.device = device
         self.array = wp.zeros(1, dtype=dtype, device=device)
         self.used = 0
+        self._waiting: list[tuple[int, np.ndarray]] = []
 
     def reserve(self, count: int) -> int:
-        """Return the start of `count` new elements, growing the array where needed."""
+        """Return the start of `count` new elements."""
         start = self.used
         self.used += count
-        if self.used > self.array.shape[0]:
-            grown = wp.zeros(int(self.used * SLACK) if start else max(self.used, 1), dtype=self.dtype,
-                             device=self.device)
-            if start:
-                wp.copy(grown, self.array, count=start)
-            self.array = grown
         return start
 
     def write(self, start: int, values: np.ndarray) -> None:
-        """Copy host values to [start, start + len)."""
+        """Let host values go to [start, start + len); they must stay as they are until then."""
         if len(values):
-            source = wp.array(np.ascontiguousarray(values), dtype=self.dtype, device=self.device)
-            wp.copy(self.array, source, dest_offset=start, count=len(values))
+            self._waiting.append((start, values))
+
+    def flush(self) -> None:
+        """Grow the array where needed and copy what waits."""
+        held = len(self.array)
+        if self.used > held:
+            grown = wp.zeros(int(self.used * SLACK) if held > 1 else self.used, dtype=self.dtype, device=self.device)
+            wp.copy(grown, self.array, count=held)
+            self.array = grown
+        waiting, self._waiting = self._waiting, []
+        for start, values in contiguous(waiting):
+            wp.copy(self.array, host_array(values, self.dtype), dest_offset=start, count=len(values))
 
     def pack(self, pieces: list[tuple[int, int]]) -> None:
         """Keep nothing but pieces, (start, count) each, one after another."""
@@ -85,6 +96,29 @@ class _Buffer:
                 wp.copy(packed, self.array, place, start, count)
             place += count
         self.array, self.used = packed, total
+
+
+def contiguous(pieces: list[tuple[int, np.ndarray]]) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield (start, values) with pieces that follow each other, in this order, joined."""
+    first = 0
+    for i in range(1, len(pieces) + 1):
+        start, values = pieces[i - 1]
+        if i == len(pieces) or pieces[i][0] != start + len(values):
+            parts = [part for _, part in pieces[first:i]]
+            yield pieces[first][0], np.ascontiguousarray(parts[0] if len(parts) == 1 else np.concatenate(parts))
+            first = i
+
+
+def used_slots(slots: np.ndarray) -> np.ndarray:
+    """Return the distinct slots, ascending; most meshes have but one."""
+    if len(slots) and not slots.any():
+        return np.zeros(1, slots.dtype)
+    return np.unique(slots)
+
+
+def host_array(values: np.ndarray, dtype: type) -> wp.array:
+    """Return an array in the host's memory that shares contiguous values."""
+    return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 
 class GeometryStore:
@@ -119,8 +153,24 @@ class GeometryStore:
         live = sum(r.triangle_count for r in self.ranges.values())
         return 1.0 - live / max(self.triangles.used, 1)
 
-    def put(self, key: Key, mesh: MeshData) -> MeshRange:
-        """Upload a mesh, in place of the one sent before under the same key if it fits there."""
+    def put(self, meshes: dict[Key, MeshData]) -> None:
+        """Upload meshes, in place of those sent before under the same keys where they fit there."""
+        normals: list[tuple[int, np.ndarray]] = []
+        for key, mesh in meshes.items():
+            self._place(key, mesh)
+            normals.append((self.ranges[key].triangle_start, mesh.corner_normals))
+        self._flush()
+        for first, values in contiguous(normals):
+            inputs = [self.positions.array, self.triangles.array, self.slots.array,
+                      wp.array(values.reshape(-1, 3), dtype=wp.vec3, device=self.device)]
+            launch_bands(write_corners, first, len(values), [first, *inputs], [self.corners.array])
+
+    def _flush(self) -> None:
+        for buffer in (self.positions, self.triangles, self.slots, self.corners, self.uvs, self.attributes):
+            buffer.flush()
+
+    def _place(self, key: Key, mesh: MeshData) -> None:
+        """Find room for a mesh and let all but its corners go there."""
         self._tables = None
         old = self.ranges.get(key)
         uv_count = 3 * len(mesh.triangles) * len(mesh.uv_maps)
@@ -155,7 +205,6 @@ class GeometryStore:
             if name not in self.attribute_names:
                 self.attribute_names.append(name)
         self.ranges[key] = self._range(mesh, row, starts, uv_count, attribute_count)
-        return self.ranges[key]
 
     def _keep_positions(self, key: Key, old: MeshRange, count: int) -> None:
         if self.remember and key not in self.replaced and old.vertex_count > 0:
@@ -167,11 +216,6 @@ class GeometryStore:
         self.positions.write(vertex, mesh.positions)
         self.triangles.write(triangle, mesh.triangles + np.int32(vertex))
         self.slots.write(triangle, mesh.material_slots)
-        corners = np.zeros((len(mesh.triangles), 6, 4), np.float32)
-        corners[:, :3, :3] = mesh.positions[mesh.triangles]
-        corners[:, 0, 3] = mesh.material_slots
-        corners[:, 3:, :3] = mesh.corner_normals.reshape(-1, 3, 3)
-        self.corners.write(6 * triangle, corners.reshape(-1, 4))
         for i, values in enumerate(mesh.uv_maps.values()):
             self.uvs.write(uv + i * 3 * len(mesh.triangles), values.reshape(-1, 2))
         for i, values in enumerate(mesh.attributes.values()):
@@ -187,7 +231,7 @@ class GeometryStore:
             triangle_count=len(mesh.triangles), uv_start=starts[2], uv_count=uv_count, attribute_start=starts[3],
             attribute_count=attribute_count, uv_names=tuple(mesh.uv_maps), attribute_names=tuple(mesh.attributes),
             low=low, high=high, local_triangles=mesh.triangles, slots=mesh.material_slots,
-            used_slots=np.unique(mesh.material_slots), generated=generated, volume=mesh.volume)
+            used_slots=used_slots(mesh.material_slots), generated=generated, volume=mesh.volume)
 
     def keep_only(self, keys: set[Key]) -> None:
         """Forget all other meshes; their room is won back by `compact`."""
@@ -215,6 +259,7 @@ class GeometryStore:
             self.triangles.write(triangle, r.local_triangles + np.int32(vertex))
             vertex, triangle = vertex + r.vertex_count, triangle + r.triangle_count
             uv, attribute = uv + r.uv_count, attribute + r.attribute_count
+        self.triangles.flush()
         self.replaced = {key: moved for key, moved in self.replaced.items() if key in self.ranges}
         self.rows, self._tables = len(old), None
         return True

@@ -13,10 +13,10 @@ import warp as wp
 from ..kernels import lamp_tables as layout
 from ..kernels import types
 from ..kernels.lamp_bake import LampTable, bake_lamp
+from .device import launch_bands
 from .lamp_needs import Needs, lamp_axes, widest_angle
 from .materials import single_program
 from .scene import LightData, LightKind
-from .wide_bvh import launch_bands
 
 __all__ = ["BakedLamp", "bake", "distance_grid"]
 

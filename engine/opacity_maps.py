@@ -25,10 +25,11 @@ from ..kernels.opacity_pieces import AlphaMask
 from ..kernels.types import Scene
 from ..kernels.wide_bvh import TRIANGLE_WORDS
 from .alpha_masks import MaskedBy, find_mask
+from .device import launch_bands
 from .flat_structure import FlatStructure
 from .instance_rows import stops_all
 from .opacity_answers import Answers, plan_answers
-from .wide_bvh import WideBvh, launch_bands
+from .wide_bvh import WideBvh
 
 if TYPE_CHECKING:
     from .device_scene import DeviceScene

@@ -14,7 +14,7 @@ import functools
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from .media import MediumData
 from .program import Program
 from .sky.image import TO_REC709
 from .volume_data import VolumeData
+
+if TYPE_CHECKING:
+    from .image_loading import ImageLoading
 
 __all__ = [
     "AlphaMode", "CameraData", "CameraKind", "ColorEncoding", "FrameMotion", "ImageData", "InstanceTable", "LightData",
@@ -376,6 +379,8 @@ class SceneDelta:
     lights: list[LightData] | None = None
     world: WorldData | None = None
     """None: unchanged; a world that Blender lacks is a black WorldData"""
+    loading: ImageLoading | None = None
+    """Has begun to read some of them"""
     luminance_weights: tuple[float, float, float] = (0.2126729, 0.7151522, 0.0721750)
     """Of the working space"""
     from_xyz: tuple[tuple[float, float, float], ...] = TO_REC709

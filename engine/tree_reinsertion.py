@@ -117,24 +117,27 @@ class _Upper:
         """Return the whole tree, the upper nodes last and level by level, so that children come first again."""
         device, total = tree.children.device.alias, len(tree.children)
         inner = len(self.nodes) - self.leaves
-        left = np.ones(total, bool)
-        left[self.nodes[self.leaves:]] = False
-        places = np.where(left, np.cumsum(left) - 1, int(kernels.NO_NODE)).astype(np.int32)
+        chosen = np.sort(self.nodes[self.leaves:]).astype(np.int32)
+        kept, places = wp.full(total, 1, dtype=int, device=device), wp.empty(total, dtype=int, device=device)
+        launch(kernels.leave_out, inner, [wp.array(chosen, dtype=int, device=device)], [kept], device)
+        wp.utils.array_scan(kept, places, inclusive=False)
         children = wp.empty(total, dtype=wp.vec2i, device=device)
         lower, upper = (wp.empty(total, dtype=wp.vec3, device=device) for _ in range(2))
-        launch(kernels.move_below, total, [
-            wp.array(places, dtype=int, device=device), tree.children, tree.lower, tree.upper],
-            [children, lower, upper], device)
+        launch(kernels.move_below, total, [kept, places, tree.children, tree.lower, tree.upper],
+               [children, lower, upper], device)
         heights = self._heights()
         order = self.leaves + np.argsort(heights[self.leaves:], kind="stable")
-        numbers = places[self.nodes]
+        numbers = self.nodes - np.searchsorted(chosen, self.nodes)
         numbers[order] = np.arange(total - inner, total)
         for array, values in ((children, numbers[self.children[order]]), (lower, self.tree.lower.numpy()[order]),
                               (upper, self.tree.upper.numpy()[order])):
             wp.copy(array, wp.array(np.ascontiguousarray(values), dtype=array.dtype, device=device),
                     dest_offset=total - inner)
-        before = np.concatenate([[0], np.cumsum(left)])
-        batches = [(int(before[first]), int(before[first + count] - before[first])) for first, count in tree.batches]
+
+        def before(node: int) -> int:
+            return node - int(np.searchsorted(chosen, node))
+
+        batches = [(before(first), before(first + count) - before(first)) for first, count in tree.batches]
         first = total - inner
         for count in np.bincount(heights[order])[1:].tolist():
             batches.append((first, count))

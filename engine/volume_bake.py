@@ -12,11 +12,11 @@ import warp as wp
 from ..kernels import types
 from ..kernels.volume_bake import VolumeTable, bake_volume, bound_blocks
 from ..kernels.volume_grids import BLOCK, Field, VolumeGrid
+from .device import launch_bands
 from .materials import single_program
 from .object_properties import PROPERTY_PREFIX
 from .program import Program
 from .volume_program import OPTIONAL_PREFIX, FieldData, VaryingData
-from .wide_bvh import launch_bands
 
 __all__ = ["BakedGrid", "Box", "Oven", "bake_boxes", "channels_of", "field_rows"]
 

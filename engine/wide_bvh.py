@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import warp as wp
@@ -15,13 +14,13 @@ from ..kernels.wide_bvh import NODE_WORDS, TRIANGLE_WORDS
 from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
 from ..kernels.wide_query import MAX_DEPTH
 from .binary_tree import BinaryTree
-from .device import launch, run_bands, thread_count
+from .device import launch, launch_bands
 from .errors import InvalidScene
 from .frame_graph import FrameGraph
 from .tree_reinsertion import mend_upper_levels
 from .work_list import make_queue
 
-__all__ = ["WideBvh", "build_forest", "build_over", "build_wide", "launch_bands"]
+__all__ = ["WideBvh", "build_forest", "build_over", "build_wide"]
 
 RADIUS = 16
 """Places along the curve to each side among which a cluster looks for its neighbor"""
@@ -47,9 +46,6 @@ boxes and triangles; where few triangles do, more references spoil the tree as m
 
 FACTORS = 20
 """Powers of two that are tried for the factor of splits: no triangle is split for less than 2**-40 of the scene"""
-
-BAND = 4096
-"""Elements for which another thread is worth its start"""
 
 
 @dataclass
@@ -124,8 +120,10 @@ class _References:
 
     @property
     def area(self) -> float:
-        """Return half the area of all boxes."""
-        return _half_area(self.lower.numpy(), self.upper.numpy())
+        """Return half the area of all boxes; those that are not finite have none."""
+        areas = wp.empty(len(self.lower), dtype=wp.float64, device=self.lower.device)
+        launch(cluster_tree.measure_areas, len(areas), [self.lower, self.upper], [areas], areas.device.alias)
+        return float(wp.utils.array_sum(areas))
 
 
 def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -> WideBvh:
@@ -204,14 +202,6 @@ def _write_triangles(points: wp.array, indices: wp.array, items: wp.array, parts
     return words
 
 
-def _half_area(lower: np.ndarray, upper: np.ndarray) -> float:
-    """Return half the area of boxes, float [N, 3] each; those that are not finite have none."""
-    with np.errstate(all="ignore"):
-        x, y, z = (upper.astype(np.float64) - lower).T
-        area = x * y + y * z + z * x
-    return float(area[np.isfinite(area)].sum())
-
-
 def _whole(points: wp.array, indices: wp.array) -> _References:
     """Return one reference to each triangle."""
     device, count = points.device.alias, len(indices) // 3
@@ -238,7 +228,7 @@ def _split(points: wp.array, indices: wp.array, whole: _References) -> _Referenc
 
     # The largest factor with which there is room for all parts.
     low, high = 0.0, float(FACTORS)
-    size = max(float((whole.upper.numpy().max(0) - whole.lower.numpy().min(0)).max()), 1e-30)
+    size = float(_extent(whole.lower, whole.upper, np.zeros(1, np.int64))[1][0])
     for _ in range(FACTORS // 2):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if total_with(2.0**middle / size) <= room else (low, middle)
@@ -249,15 +239,6 @@ def _split(points: wp.array, indices: wp.array, whole: _References) -> _Referenc
     launch(triangle_split.split_triangles, count, [points, indices, whole.lower, whole.upper, ends],
            [wp.empty(total, dtype=int, device=device), made.faces, made.steps, made.lower, made.upper], device)
     return made if made.area <= SPLIT_AREA * area else None
-
-
-def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
-    """Launch a kernel over elements from `first` on, on the CPU in bands on all cores."""
-    device = outputs[0].device
-    size = max(count // thread_count() + 1, BAND) if device.is_cpu else count
-    run_bands([
-        partial(launch, kernel, min(size, first + count - start), [start, *inputs], outputs, device.alias)
-        for start in range(first, first + count, size)])
 
 
 def _cluster(
@@ -282,7 +263,7 @@ def _cluster(
     if counts is not None:
         starts = np.concatenate([starts, np.cumsum(counts)[:-1]])
         wp.copy(tree_of, wp.array(np.repeat(np.arange(trees, dtype=np.int32), counts), dtype=int, device=device))
-    low, size = _extent(item_lower.numpy(), item_upper.numpy(), starts)
+    low, size = _extent(item_lower, item_upper, starts)
     launch(cluster_tree.start_clusters, count, [
         tree_of, wp.array(low, dtype=wp.vec3, device=device),
         wp.array(float(cluster_tree.CURVE_CELLS) / size, dtype=float, device=device),
@@ -309,9 +290,15 @@ def _cluster(
     return BinaryTree(children, lower, upper, batches, None if counts is None else clusters[:count])
 
 
-def _extent(lower: np.ndarray, upper: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _extent(lower: wp.array, upper: wp.array, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return float32 [M, 3] and [M]: lowest corners and longest sides of boxes from each start to the next."""
-    low, high = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
+    if len(starts) == 1:
+        low, high = (wp.full(3, end, dtype=float, device=lower.device) for end in (np.inf, -np.inf))
+        launch(cluster_tree.find_extent, -(-len(lower) // int(cluster_tree.EXTENT_BOXES)), [lower, upper], [low, high],
+               lower.device.alias)
+        low, high = low.numpy()[None], high.numpy()[None]
+    else:
+        low, high = np.minimum.reduceat(lower.numpy(), starts), np.maximum.reduceat(upper.numpy(), starts)
     return low, np.maximum((high - low).max(1), np.float32(1e-30))
 
 

@@ -18,6 +18,9 @@ CURVE_CELLS = wp.constant(1048576.0)
 CURVE_BITS = wp.constant(60)
 """Of a place on it"""
 
+EXTENT_BOXES = wp.constant(64)
+"""Boxes that a thread of find_extent looks at"""
+
 
 @wp.func
 def half_area(size: wp.vec3) -> float:
@@ -95,6 +98,47 @@ def write_areas(
     """Write half the surface of each node's box."""
     i = wp.tid()
     areas_out[i] = half_area(upper[i] - lower[i])
+
+
+@wp.kernel
+def measure_areas(
+    # In:
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    # Out:
+    areas_out: wp.array[wp.float64],
+):
+    """Write half the surface of each box; 0 of those that are not finite."""
+    i = wp.tid()
+    low = wp.vec3d(lower[i])
+    high = wp.vec3d(upper[i])
+    size = high - low
+    area = size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+    if not wp.isfinite(area):
+        area = wp.float64(0.0)
+    areas_out[i] = area
+
+
+@wp.kernel
+def find_extent(
+    # In:
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    # Out:
+    low_out: wp.array[float],
+    high_out: wp.array[float],
+):
+    """Lower `low_out` [3] and raise `high_out` [3] to the box about all boxes; each thread looks at EXTENT_BOXES."""
+    first = EXTENT_BOXES * wp.tid()
+    last = wp.min(first + EXTENT_BOXES, lower.shape[0])
+    low = lower[first]
+    high = upper[first]
+    for i in range(first + 1, last):
+        low = wp.min(low, lower[i])
+        high = wp.max(high, upper[i])
+    for axis in range(3):
+        wp.atomic_min(low_out, axis, low[axis])
+        wp.atomic_max(high_out, axis, high[axis])
 
 
 @wp.kernel

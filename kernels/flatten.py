@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that build the device scene: world-space vertices, and the power of emissive triangles."""
+"""Kernels that build the device scene: corners, world-space vertices, and the power of emissive triangles."""
 
 from __future__ import annotations
 
@@ -27,6 +27,36 @@ def flatten_vertices(
     """Place the vertices of flattened instances in world space."""
     i = first + wp.tid()
     points_out[i] = transform_point(instances[vertex_instance[i]].to_world, positions[vertex_source[i]])
+
+
+@wp.kernel
+def write_corners(
+    # In:
+    start: int,
+    first: int,
+    positions: wp.array[wp.vec3],
+    triangles: wp.array[wp.vec3i],
+    slots: wp.array[int],
+    normals: wp.array[wp.vec3],
+    # Out:
+    corners_out: wp.array[wp.vec4],
+):
+    """Put what shading reads of a triangle side by side (kernels.types.Geometry.corners).
+
+    In detail:
+        start: First triangle of this launch, in the scene's numbering.
+        first: Triangle whose corner has the first normal.
+    """
+    triangle = start + wp.tid()
+    vertices = triangles[triangle]
+    for i in range(3):
+        place = positions[vertices[i]]
+        slot = float(0.0)
+        if i == 0:
+            slot = float(slots[triangle])
+        normal = normals[3 * (triangle - first) + i]
+        corners_out[6 * triangle + i] = wp.vec4(place[0], place[1], place[2], slot)
+        corners_out[6 * triangle + 3 + i] = wp.vec4(normal[0], normal[1], normal[2], 0.0)
 
 
 @wp.kernel

@@ -154,8 +154,20 @@ def reinsert_nodes(
 
 
 @wp.kernel
+def leave_out(
+    # In:
+    nodes: wp.array[int],
+    # Out:
+    kept_out: wp.array[int],
+):
+    """Mark nodes, of which all are marked 1, as left out."""
+    kept_out[nodes[wp.tid()]] = 0
+
+
+@wp.kernel
 def move_below(
     # In:
+    kept: wp.array[int],
     places: wp.array[int],
     children: wp.array[wp.vec2i],
     lower: wp.array[wp.vec3],
@@ -165,10 +177,10 @@ def move_below(
     lower_out: wp.array[wp.vec3],
     upper_out: wp.array[wp.vec3],
 ):
-    """Copy nodes to their `places`, NO_NODE for those that are left out; the rest have children that aren't."""
+    """Copy the nodes that are `kept` to their `places`; none of them has children that are left out."""
     i = wp.tid()
     place = places[i]
-    if place != NO_NODE:
+    if kept[i] == 1:
         pair = children[i]
         if pair[0] >= 0:
             pair = wp.vec2i(places[pair[0]], places[pair[1]])

@@ -13,16 +13,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
 from ...engine.image_atlas import lay_out_tiles, tile_table
-from ...engine.report import Report, ReportKind
-from ...engine.scene import AlphaMode, ColorEncoding, ImageData
-from ...engine.textures import (
+from ...engine.image_files import (
     DATA_SPACES,
     FilePixels,
     ImageUnreadable,
@@ -32,6 +30,8 @@ from ...engine.textures import (
     read_size,
     to_linear,
 )
+from ...engine.report import Report, ReportKind
+from ...engine.scene import AlphaMode, ColorEncoding, ImageData
 from .image_tiles import TILE_TOKENS, TiledImage, TileSource, generated_pixels, tile_sources
 
 __all__ = ["ImageCollector", "sequence_frame", "sequence_path", "working_space"]
@@ -105,6 +105,7 @@ class ImageCollector:
         self._known: dict[Key, tuple] = {}
         self._reports: dict[Key, Report] = {}
         self._atlases: dict[Key, TiledImage] = {}
+        self._pool: ThreadPoolExecutor | None = None
         self.begin(depsgraph_or_scene)
 
     def begin(self, depsgraph_or_scene: bpy.types.Depsgraph | bpy.types.Scene, *, full: bool = False) -> None:
@@ -116,7 +117,7 @@ class ImageCollector:
             full: Hand everything over again.
         """
         self._images: dict[Key, ImageData] = {}
-        self._jobs: dict[Key, Callable[[], ImageData]] = {}
+        self._jobs: dict[Key, Future[ImageData]] = {}
         self._seen: set[Key] = set()
         self._touched: set[int] | None = None
         if full:
@@ -136,6 +137,12 @@ class ImageCollector:
         """New and changed images of this update, by key. Waits for packed files to be read."""
         self._finish_jobs()
         return self._images
+
+    @property
+    def started(self) -> dict[Key, Callable[[], ImageData]]:
+        """What gives the images of this update known so far, by key, waiting where they are still being read."""
+        known = {key: lambda data=data: data for key, data in self._images.items()}
+        return {**known, **{key: job.result for key, job in self._jobs.items()}}
 
     @property
     def report(self) -> Report:
@@ -211,7 +218,7 @@ class ImageCollector:
                 atlas=replace(atlas, tiles=tiles))
 
         image_name = image.name
-        self._jobs[key] = join
+        self._read(key, join)
         self._atlases[key] = TiledImage(key, atlas, known_range, table)
         return self._atlases[key]
 
@@ -259,12 +266,19 @@ class ImageCollector:
                 alpha_mode=AlphaMode.NONE)
         return key
 
+    def _read(self, key: Key, job: Callable[[], ImageData]) -> None:
+        """Begin to read an image, several at a time."""
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(min(os.cpu_count() or 1, THREADS_MAX), thread_name_prefix="burnish files")
+        self._jobs[key] = self._pool.submit(job)
+
     def _finish_jobs(self) -> None:
-        """Read what is to be read, several at a time."""
+        """Wait until everything is read."""
         jobs, self._jobs = self._jobs, {}
-        if jobs:
-            with ThreadPoolExecutor(min(len(jobs), os.cpu_count() or 1, THREADS_MAX)) as pool:
-                self._images |= dict(zip(jobs, pool.map(lambda job: job(), jobs.values()), strict=True))
+        self._images |= {key: job.result() for key, job in jobs.items()}
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
 
     def _signature(self, image: bpy.types.Image, path: str, space: _Space) -> tuple:
         """Return what changes when an image's content or meaning does; painting is seen by the depsgraph."""
@@ -282,7 +296,7 @@ class ImageCollector:
         exists = any(token in path for token in TILE_TOKENS) or os.path.isfile(path)
         if space.encoding is None and exists:
             job = _Job(image.name, AlphaMode(image.alpha_mode), space, ocio_config(), told, path=path)
-            self._jobs[key] = job.run
+            self._read(key, job.run)
             return
         self._images[key] = ImageData(
             name=image.name, path=path or None, encoding=space.encoding or ColorEncoding.SRGB,
@@ -296,7 +310,7 @@ class ImageCollector:
             self._images[key] = _from_blender(image, space, told)
             return
         data = image.packed_files[0].packed_file.data
-        self._jobs[key] = _Job(image.name, AlphaMode(image.alpha_mode), space, ocio_config(), told, data=data).run
+        self._read(key, _Job(image.name, AlphaMode(image.alpha_mode), space, ocio_config(), told, data=data).run)
 
 
 @dataclass

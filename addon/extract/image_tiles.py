@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 
 from ...engine.image_atlas import Atlas, TileRange
+from ...engine.image_files import can_read_bytes
 from ...engine.texels import srgb_to_linear
-from ...engine.textures import can_read_bytes
 
 __all__ = ["TILE_TOKENS", "TileSource", "TiledImage", "generated_pixels", "tile_path", "tile_sources"]
 

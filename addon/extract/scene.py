@@ -14,11 +14,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...engine.image_loading import ImageLoading
 from ...engine.mesh_features import derived_names
 from ...engine.object_properties import property_names
 from ...engine.report import Report
 from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
+from ...engine.settings import PerformanceSettings
 from ..passes import aov_source
+from .callbacks import Callbacks, Progress
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
 from .geometry import materials_of_hair, read_geometry
 from .image import ImageCollector, working_space
@@ -29,9 +32,6 @@ from .moves import Moves
 from .properties import LayerProperties
 
 __all__ = ["ExtractionCancelled", "ExtractionCounts", "SceneExtractor"]
-
-Progress = Callable[[str, float], None]
-
 
 @dataclass
 class ExtractionCounts:
@@ -49,21 +49,6 @@ class ExtractionCounts:
     """Sent"""
     worlds: int = 0
     """Read"""
-
-
-@dataclass
-class _Callbacks:
-    """How the caller is told and asked."""
-
-    progress: Progress | None
-    cancelled: Callable[[], bool] | None
-
-    def step(self, text: str, fraction: float) -> None:
-        """Tell the progress; raises ExtractionCancelled where the caller wants no more."""
-        if self.progress is not None:
-            self.progress(text, fraction)
-        if self.cancelled is not None and self.cancelled():
-            raise ExtractionCancelled
 
 
 class SceneExtractor:
@@ -133,7 +118,8 @@ class SceneExtractor:
 
     def extract(self, depsgraph: bpy.types.Depsgraph, *, viewport: bool, report: Report,
                 progress: Progress | None = None, cancelled: Callable[[], bool] | None = None,
-                space: bpy.types.SpaceView3D | None = None) -> SceneDelta:
+                space: bpy.types.SpaceView3D | None = None,
+                performance: PerformanceSettings | None = None) -> SceneDelta:
         """Return what changed since the last call; everything on the first.
 
         Args:
@@ -144,6 +130,7 @@ class SceneExtractor:
             progress: Called with a text and a fraction.
             cancelled: Asked often; True ends the extraction.
             space: Viewport whose local view and collection visibility apply.
+            performance: Limits of images, which are then read in the background while meshes are read here.
 
         Raises:
             ExtractionCancelled: `cancelled` returned True. The next extraction is full.
@@ -154,10 +141,12 @@ class SceneExtractor:
         changes = self._changes(depsgraph, full or not viewport)
         working = self._identity[-1]
         delta = SceneDelta(full=full, luminance_weights=luminance_weights(working), from_xyz=from_xyz(working))
-        callbacks = _Callbacks(progress, cancelled)
+        callbacks = Callbacks(progress, cancelled)
         try:
-            self._extract_changed(delta, depsgraph, changes, space, callbacks)
+            self._extract_changed(delta, depsgraph, changes, space, callbacks, performance)
         except BaseException:
+            if delta.loading is not None:
+                delta.loading.stop()
             self.reset()
             raise
         self._merge_reports(report)
@@ -187,7 +176,8 @@ class SceneExtractor:
         return changes
 
     def _extract_changed(self, delta: SceneDelta, depsgraph: bpy.types.Depsgraph, changes: Changes,
-                         space: bpy.types.SpaceView3D | None, callbacks: _Callbacks) -> None:
+                         space: bpy.types.SpaceView3D | None, callbacks: Callbacks,
+                         performance: PerformanceSettings | None) -> None:
         if not changes:
             return
         callbacks.step("Reading the scene", 0.0)
@@ -205,6 +195,8 @@ class SceneExtractor:
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
             self._extract_materials(delta, gathered, changes, images, callbacks)
+            if performance is not None and images.started:
+                delta.loading = ImageLoading(images.started, performance)
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
             lamps = self._extract_lights(gathered, changes, images)
             self._moves.note(depsgraph, changes.objects, gathered, of_mesh, kept, self._table, lamps)
@@ -231,7 +223,7 @@ class SceneExtractor:
         return self._images
 
     def _extract_meshes(self, delta: SceneDelta, gathered: Gathered, changes: Changes,
-                        callbacks: _Callbacks) -> tuple[np.ndarray, np.ndarray]:
+                        callbacks: Callbacks) -> tuple[np.ndarray, np.ndarray]:
         """Read new and changed meshes, then make the table of their instances; returns `kept_rows` of them."""
         keys, new = self._mesh_keys.assign(gathered.sources)
         for key, source in zip(keys, gathered.sources, strict=True):
@@ -327,7 +319,7 @@ class SceneExtractor:
         return self._light_shaders[uid][0]
 
     def _extract_materials(self, delta: SceneDelta, gathered: Gathered, changes: Changes, images: ImageCollector,
-                           callbacks: _Callbacks) -> None:
+                           callbacks: Callbacks) -> None:
         from .material import extract_material
 
         everything = changes.everything or bool(changes.images)

@@ -38,7 +38,7 @@ INSIDE = {
 KERNEL_STANDARD_LIBRARY = {"__future__", "math", "typing"}
 EXTRA = {
     "engine/read.py": {"OpenImageIO"},
-    "engine/textures.py": {"OpenImageIO"},
+    "engine/image_files.py": {"OpenImageIO"},
     "engine/write.py": {"OpenImageIO"},
     "addon/__init__.py": {"ui"},
     "addon/preferences.py": {"ui.properties"},
@@ -131,7 +131,7 @@ def test_wrong_imports_are_found(path: str, source: str, expected: str) -> None:
 
 
 @pytest.mark.parametrize(("path", "source"), [
-    ("engine/textures.py", "import OpenImageIO as oiio\nfrom ..kernels.types import Textures"),
+    ("engine/image_files.py", "import OpenImageIO as oiio\nfrom .texels import expand_channels"),
     ("addon/__init__.py", "def register():\n    from .. import ui\n    from . import render_engine"),
     ("addon/extract/mesh.py", "import bpy\nfrom ...engine.scene import MeshData\nfrom .image import ImageCollector"),
     ("ui/properties.py", "import bpy\nfrom ..engine import settings"),

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from burnish.engine.image_files import ImageUnreadable, can_read_bytes, read_bytes, read_file
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import AlphaMode, ColorEncoding, ImageData
 from burnish.engine.settings import PerformanceSettings
 from burnish.engine.texels import average, expand_channels, linear_to_srgb, make_texels, srgb_to_linear
 from burnish.engine.texture_budget import TextureSize, fit
-from burnish.engine.textures import ImageUnreadable, TextureStore, can_read_bytes, read_bytes, read_file
+from burnish.engine.textures import TextureStore
 from burnish.kernels.texture import ALPHA_ASSOCIATED, ALPHA_STRAIGHT, ALPHA_UNRELATED, TEXELS_FLOAT, TEXELS_HALF
 
 LINEAR = {"encoding": ColorEncoding.LINEAR, "source_colorspace": "Linear Rec.709"}
