@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import os
+from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 
 import bpy
 import numpy as np
 
 from ...engine.report import Report
+from ...engine.sanitize import report_counts, sanitize_mesh
 from ...engine.scene import MeshData
 from .hair import extract_curves
 from .instances import Gathered, Source
@@ -16,15 +19,18 @@ from .mesh import extract_mesh
 from .particle_hair import extract_particle_hair
 from .volume_object import extract_volume
 
-__all__ = ["materials_of_hair", "read_geometry", "read_positions"]
+__all__ = ["materials_of_hair", "read_clean", "read_geometry", "read_positions"]
+
+THREADS_MAX = 8
+"""Meshes cleaned at the same time at most"""
 
 
 def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
-    """Return the mesh, the tubes of hair or the box of a volume.
+    """Return the mesh, the tubes of hair or the box of a volume, as they are (engine/sanitize.py).
 
     Args:
         source: Not a lamp.
-        report: Takes what was left out or repaired.
+        report: Takes what was left out.
         derived: Attributes to work out (engine/mesh_features.py).
     """
     owner, slot_count = f"object '{source.name}'", len(source.material_set)
@@ -41,6 +47,27 @@ def read_geometry(source: Source, report: Report, derived: frozenset[str] = froz
         return extract_mesh(source.owner.to_mesh(), owner, slot_count, report, derived)
     finally:
         source.owner.to_mesh_clear()
+
+
+def read_clean(sources: dict[int, Source], reports: dict[int, Report], derived: dict[int, frozenset[str]],
+               step: Callable[[str, float], None]) -> dict[int, MeshData]:
+    """Return what sources look like, by key, fit to be drawn: read here and cleaned in threads meanwhile.
+
+    Args:
+        sources: By key.
+        reports: By key; take what was left out or repaired.
+        derived: By key, as of `read_geometry`.
+        step: Called before each with a text and the share done; may raise.
+    """
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, THREADS_MAX), thread_name_prefix="burnish meshes") as pool:
+        cleaning = {}
+        for number, (key, source) in enumerate(sources.items()):
+            step(f"Reading mesh '{source.name}'", number / len(sources))
+            cleaning[key] = pool.submit(sanitize_mesh, read_geometry(source, reports[key], derived[key]))
+        cleaned = {key: job.result() for key, job in cleaning.items()}
+    for key, (_, found) in cleaned.items():
+        report_counts(reports[key], f"object '{sources[key].name}'", found)
+    return {key: data for key, (data, _) in cleaned.items()}
 
 
 def materials_of_hair(gathered: Gathered) -> frozenset[Hashable]:

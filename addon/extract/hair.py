@@ -11,7 +11,6 @@ import numpy as np
 from ...engine.hair import SIDES, Strands, Tubes, fit_to_limit, make_tubes, needed_steps
 from ...engine.hair_info import hair_attributes
 from ...engine.report import Report, ReportKind
-from ...engine.sanitize import report_counts, sanitize_mesh
 from ...engine.scene import MeshData
 from .mesh import ATTRIBUTE_LIMIT, ATTRIBUTE_TYPES, read_vec4
 
@@ -34,7 +33,7 @@ def extract_curves(curves: bpy.types.Curves, owner: str, report: Report,
     Args:
         curves: Evaluated hair curves.
         owner: Name for messages, such as `object 'Hair'`.
-        report: Takes what was left out or repaired.
+        report: Takes what was left out.
         derived: Attributes of engine/hair_info.py that it shall have.
     """
     total, count = len(curves.points), len(curves.curves)
@@ -54,7 +53,7 @@ def extract_curves(curves: bpy.types.Curves, owner: str, report: Report,
     tubes = make_tubes(strands, 1 if _are_straight(curves) else needed_steps(strands, steps))
     uv_maps, attributes = _read_attributes(curves, tubes, kept, owner, report)
     attributes |= hair_attributes(derived, strands, tubes, np.arange(count))
-    return tube_mesh(curves.name, tubes, np.zeros(count, np.int32), uv_maps, attributes, owner, report)
+    return tube_mesh(curves.name, tubes, np.zeros(count, np.int32), uv_maps, attributes)
 
 
 def thinned(counts: np.ndarray, owner: str, report: Report) -> tuple[int, int]:
@@ -72,8 +71,8 @@ def thinned(counts: np.ndarray, owner: str, report: Report) -> tuple[int, int]:
 
 
 def tube_mesh(name: str, tubes: Tubes, slots: np.ndarray, uv_maps: dict[str, np.ndarray],
-              attributes: dict[str, np.ndarray], owner: str, report: Report) -> MeshData:
-    """Return tubes as a mesh, cleaned, whose Generated coordinates are those of the object.
+              attributes: dict[str, np.ndarray]) -> MeshData:
+    """Return tubes as a mesh whose Generated coordinates are those of the object.
 
     Args:
         name: Of the mesh.
@@ -81,17 +80,13 @@ def tube_mesh(name: str, tubes: Tubes, slots: np.ndarray, uv_maps: dict[str, np.
         slots: int32 [C], material slot of each strand.
         uv_maps: As in MeshData.
         attributes: As in MeshData.
-        owner: Name for messages.
-        report: Takes what was repaired.
     """
     strand = tubes.strand[::SIDES]
     material_slots = slots[strand[tubes.triangles[:, 0] // SIDES]] if len(tubes.triangles) else np.zeros(0, np.int32)
-    data, found = sanitize_mesh(MeshData(
+    return MeshData(
         name=name, positions=tubes.positions, triangles=tubes.triangles, material_slots=material_slots,
         corner_normals=tubes.normals[tubes.triangles], uv_maps=uv_maps, attributes=attributes,
-        generated=(np.full(3, 0.5, np.float32), np.full(3, 0.5, np.float32))))
-    report_counts(report, owner, found)
-    return data
+        generated=(np.full(3, 0.5, np.float32), np.full(3, 0.5, np.float32)))
 
 
 def _are_straight(curves: bpy.types.Curves) -> bool:

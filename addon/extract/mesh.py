@@ -12,7 +12,6 @@ import numpy as np
 
 from ...engine.mesh_features import ISLAND, POINTINESS, pointiness, random_per_island
 from ...engine.report import Report, ReportKind
-from ...engine.sanitize import report_counts, sanitize_mesh
 from ...engine.scene import MeshData
 
 __all__ = ["ATTRIBUTE_LIMIT", "ATTRIBUTE_TYPES", "extract_mesh", "read_vec4"]
@@ -42,13 +41,13 @@ _GEOMETRY_NAMES = {'position', 'material_index', 'sharp_face', 'custom_normal'}
 
 def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Report,
                  derived: frozenset[str] = frozenset()) -> MeshData:
-    """Copy an evaluated mesh and clean it.
+    """Copy an evaluated mesh as it is: it may not be fit to be drawn before `sanitize_mesh`.
 
     Args:
         mesh: Evaluated mesh, not in edit mode.
         owner: Name for messages, such as `object 'Floor'`.
         slot_count: Material slots of the instance; indices are clamped to them as Blender does.
-        report: Takes what was left out or repaired.
+        report: Takes what was left out.
         derived: Attributes of engine/mesh_features.py that it shall have.
 
     Returns:
@@ -76,8 +75,6 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
     )
     if derived & {ISLAND, POINTINESS} and intact:
         data.attributes |= _derive(mesh, gather, data.positions, derived)
-    data, counts = sanitize_mesh(data)
-    report_counts(report, owner, counts)
     return data
 
 
@@ -148,7 +145,7 @@ def _read_corner_normals(mesh: bpy.types.Mesh, gather: _Gather, intact: bool) ->
         return np.zeros((len(gather.vertices), 3, 3), np.float32)  # sanitize_mesh puts in face normals
     normals = _read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3)
     # Of corners between faces without area; Cycles packs normals as points of an octahedron, which has no zero.
-    normals[~normals.any(1)] = (0.0, 0.0, 1.0)
+    normals[(normals[:, 0] == 0.0) & (normals[:, 1] == 0.0) & (normals[:, 2] == 0.0)] = (0.0, 0.0, 1.0)
     return gather.expand(normals, 'CORNER')
 
 

@@ -93,6 +93,8 @@ class Graph:
             (link.to_node.name, link.to_socket.identifier): (link.from_node, link.from_socket)
             for link in tree.links if link.is_valid and not link.is_muted
         }
+        self.inputs: dict[str, dict[str, Any]] = {}
+        """Inputs of nodes by the names of both, as far as they were asked for"""
         self.outputs_used = {
             (link.from_node.name, link.from_socket.identifier) for link in tree.links if not link.is_muted}
         self.results: dict[tuple[str, str], Value] = {}
@@ -111,6 +113,12 @@ class Graph:
         """Return (node, socket) linked to an input, or None."""
         return self.links.get((node.name, identifier))
 
+    def input(self, node, identifier: str):
+        """Return an input of a node, or None."""
+        if node.name not in self.inputs:
+            self.inputs[node.name] = {socket.identifier: socket for socket in node.inputs}
+        return self.inputs[node.name].get(identifier)
+
     def is_linked(self, node, identifier: str) -> bool:
         """Return whether an input is linked."""
         return (node.name, identifier) in self.links
@@ -121,7 +129,7 @@ class Graph:
 
     def default(self, node, identifier: str, fallback: Any = 0.0) -> Any:
         """Return an input's own value as float or tuple, `fallback` where the node has no such input."""
-        socket = find(node.inputs, identifier)
+        socket = self.input(node, identifier)
         if socket is None or not hasattr(socket, "default_value"):
             return fallback
         value = socket.default_value
@@ -130,7 +138,7 @@ class Graph:
     def value(self, node, identifier: str, fallback: Any = 0.0) -> Value:
         """Return an input: what is linked to it, converted to its type, else its own value."""
         link = self.source(node, identifier)
-        socket = find(node.inputs, identifier)
+        socket = self.input(node, identifier)
         if link is None or socket is None:
             default = self.default(node, identifier, fallback)
             return self.builder.constant(default[:3] if isinstance(default, tuple) else default)

@@ -76,7 +76,7 @@ def extract_particle_hair(owner: bpy.types.Object, mesh: bpy.types.Mesh, mode: s
     roots[drawn] = strands.points[(np.cumsum(strands.counts) - strands.counts)[drawn]]
     roots = 0.5 + 0.5 * (roots - np.array(mesh.texspace_location)) / np.array(mesh.texspace_size)
     attributes |= hair_attributes(derived, strands, tubes, numbers, along, roots)
-    return tube_mesh(mesh.name, tubes, slots, uv_maps, attributes, name, report)
+    return tube_mesh(mesh.name, tubes, slots, uv_maps, attributes)
 
 
 def _systems(owner: bpy.types.Object, mode: str) -> Iterator[_System]:

@@ -18,12 +18,12 @@ from ...engine.image_loading import ImageLoading
 from ...engine.mesh_features import derived_names
 from ...engine.object_properties import property_names
 from ...engine.report import Report
-from ...engine.scene import InstanceTable, LightData, MaterialData, MeshData, SceneDelta, WorldData
+from ...engine.scene import InstanceTable, LightData, MaterialData, SceneDelta, WorldData
 from ...engine.settings import PerformanceSettings
 from ..passes import aov_source
 from .callbacks import Callbacks, Progress
 from .changes import Changes, MeshKeys, read_changes, same_fields, same_lights, same_table
-from .geometry import materials_of_hair, read_geometry
+from .geometry import materials_of_hair, read_clean
 from .image import ImageCollector, working_space
 from .instances import ExtractionCancelled, Gathered, Source, build_table, gather_instances, kept_rows
 from .light import extract_light
@@ -237,9 +237,8 @@ class SceneExtractor:
                 new.setdefault(key, source)
         self._derived = {key: wanted.get(key, none) | (none if key in new else self._derived.get(key, none))
                          for key in set(keys) - {None}}
-        for number, (key, source) in enumerate(new.items()):
-            callbacks.step(f"Reading mesh '{source.name}'", number / len(new))
-            data = self._read_mesh(key, source)
+        self._mesh_reports |= {key: Report() for key in new}
+        for key, data in read_clean(new, self._mesh_reports, self._derived, callbacks.step).items():
             self._empty_meshes.discard(key)
             if len(data.triangles):
                 delta.meshes[key] = data
@@ -274,10 +273,6 @@ class SceneExtractor:
         if self._table is None or not same_table(table, self._table):
             delta.instances = table
         self._table = table
-
-    def _read_mesh(self, key: int, source: Source) -> MeshData:
-        self._mesh_reports[key] = Report()
-        return read_geometry(source, self._mesh_reports[key], self._derived[key])
 
     def _extract_lights(self, gathered: Gathered, changes: Changes,
                         images: ImageCollector) -> dict[int, LightData | None]:
