@@ -15,8 +15,9 @@ from ..kernels.environment_split import NO_THRESHOLD, EnvironmentSplit
 from ..kernels.lamp_hit import FAR
 from ..kernels.paths import PENDING_WORLD
 from ..kernels.shadow_lights import shade_lights
+from ..kernels.world_split import aim_at_texels, cut_texels, measure_texels
 from .alias_table import build_alias_table
-from .device import launch, run_bands
+from .device import launch, launch_bands, run_bands
 from .environment import UNIFORM_SHARE, no_environment
 from .shadow_rays import make_options, make_shadow_rays
 from .work_list import ONCE, make_queue, one_number
@@ -73,44 +74,28 @@ def split_environment(scene: types.Scene, device: str) -> EnvironmentSplit:
     suspects, points = _suspects(mean, solid_angle)
     if len(suspects) == 0:
         return no_split(device)
-    radiance = _look_closely(scene, suspects, points, width, height, device)
+    radiance = _look_closely(scene, suspects, points, device)
     spots = solid_angle.ravel()[suspects]
     # The table knows brightness up to a factor; the close look gives it (of the largest channel, as there).
-    scale = (radiance.max(-1).mean(1) * spots).sum() / max((mean.ravel()[suspects] * spots).sum(), 1e-30)
+    peaks = wp.empty(len(suspects), dtype=float, device=device)
+    launch_bands(measure_texels, 0, len(suspects), [points, radiance], [peaks])
+    scale = (peaks.numpy().astype(np.float64) @ spots) / max(mean.ravel()[suspects] @ spots, 1e-30)
     mean = mean * scale
     threshold = _threshold(mean, solid_angle)
-    luminance = np.maximum(radiance @ np.array(scene.luminance, np.float64), 0.0)
-    excess = np.maximum(luminance - threshold, 0.0).mean(1)
-    total = (excess * spots).sum()
-    share = total / max((mean * solid_angle).sum(), 1e-30)
+    cut = [wp.empty(len(suspects), dtype=kind, device=device) for kind in (float, wp.uint32, wp.vec3)]
+    launch_bands(cut_texels, 0, len(suspects), [points, threshold, scene.luminance, radiance], cut)
+    excess, box, color = (values.numpy() for values in cut)
+    power = excess * spots
+    total = power.sum()
+    share = total / max(mean.ravel() @ solid_angle.ravel(), 1e-30)
     if not np.isfinite(share) or share < LEAST_SHARE:
         return no_split(device)
     split = EnvironmentSplit()
     split.threshold, split.power, split.share = float(threshold), float(total * 4.0 * np.pi), float(min(share, 1.0))
     split.points = points
     held = excess > 0.0
-    box, color = _boxes(radiance[held], luminance[held], threshold, points)
-    _fill_tables(split, scene, suspects[held], (excess * spots)[held] / total, box, color, device)
+    _fill_tables(split, scene, suspects[held], power[held] / total, box[held], color[held], device)
     return split
-
-
-def _boxes(
-    radiance: np.ndarray, luminance: np.ndarray, threshold: float, points: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest box of points that holds a texel's excess (as EnvironmentSplit.box), and its mean in there.
-
-    So a sun that is smaller than a texel keeps its sharp shadow.
-    """
-    bright = (luminance > threshold).reshape(-1, points, points)
-    sides = []
-    for axis in (1, 2):
-        line = bright.any(axis)
-        first = line.argmax(1)
-        sides.append((first, points - line[:, ::-1].argmax(1) - first))
-    (left, across), (top, down) = sides
-    kept = np.maximum(1.0 - threshold / np.maximum(luminance, 1e-30), 0.0)
-    color = np.maximum(radiance * kept[..., None], 0.0).sum(1) / (across * down)[:, None]
-    return left | (across << 8) | (top << 16) | (down << 24), color
 
 
 def _fill_tables(
@@ -175,42 +160,30 @@ def _suspects(mean: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, in
     return suspects, int(np.clip(np.sqrt(CLOSE_LOOKS / len(suspects)), 2, POINTS_MAX))
 
 
-def _look_closely(
-    scene: types.Scene, texels: np.ndarray, points: int, width: int, height: int, device: str,
-) -> np.ndarray:
-    """Return the world's radiance, unfiltered, at points x points places in each texel: [texels, points^2, 3]."""
-    steps = (np.arange(points) + 0.5) / points
-    phi = (2.0 * np.pi / width) * ((texels % width)[:, None] + steps)
-    theta = (np.pi / height) * ((texels // width)[:, None] + steps)
-    directions = np.empty((len(texels), points, points, 3), np.float32)
-    directions[..., 0] = np.sin(theta)[:, :, None] * np.cos(phi)[:, None, :]
-    directions[..., 1] = np.sin(theta)[:, :, None] * np.sin(phi)[:, None, :]
-    directions[..., 2] = np.cos(theta)[:, :, None]
-    radiance = _evaluate(scene, directions.reshape(-1, 3), device)
-    radiance[~np.isfinite(radiance).all(1)] = 0.0
-    return np.maximum(radiance, 0.0).reshape(len(texels), points * points, 3)
+def _look_closely(scene: types.Scene, texels: np.ndarray, points: int, device: str) -> wp.array:
+    """Return the world's radiance, unfiltered, at points x points places in each texel, one after another: vec4.
 
-
-def _evaluate(scene: types.Scene, directions: np.ndarray, device: str) -> np.ndarray:
-    """Return the world's radiance, float64 [N, 3]: the path tracer's kernel for rays that wait for the world."""
-    size = min(CHUNK, len(directions))
+    By the path tracer's kernel for rays that wait for the world.
+    """
+    environment, total = scene.environment, len(texels) * points * points
+    aims = [wp.array(texels.astype(np.int32), dtype=int, device=device), points, environment.width, environment.height]
+    size = min(CHUNK, total)
     rays, queue = make_shadow_rays(size, device, layers=False, programs=True), make_queue(size, device)
     options = make_options(filtered=False)
     rays.shadow_pending.fill_(int(PENDING_WORLD))
     rays.shadow_light.fill_(wp.vec3(1.0, 1.0, 1.0))
-    result = np.zeros((len(directions), 3))
+    result = wp.empty(total, dtype=wp.vec4, device=device)
     parts = 1 if wp.get_device(device).is_cuda else 16
     none, whole = one_number(0, device), one_number(size, device)
-    for low in range(0, len(directions), size):
-        chunk = directions[low : low + size]
-        padded = np.concatenate([chunk, np.zeros((size - len(chunk), 3), np.float32)])
-        rays.shadow_direction.assign(padded)
+    for low in range(0, total, size):
+        count = min(size, total - low)
+        launch_bands(aim_at_texels, low, count, [low, *aims], [rays.shadow_direction])
         rays.shadow_distance.fill_(float(FAR))
         rays.radiance.zero_()
-        edges = [len(chunk) * i // parts for i in range(parts + 1)]
+        edges = [count * i // parts for i in range(parts + 1)]
         run_bands([
             lambda a=a, b=b: launch(
                 shade_lights, b - a, [scene, options, none, ONCE, whole, queue[a:b]], [rays], device)
             for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a])
-        result[low : low + len(chunk)] = rays.radiance.numpy()[: len(chunk), :3]
+        wp.copy(result, rays.radiance, dest_offset=low, count=count)
     return result

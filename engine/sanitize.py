@@ -2,8 +2,8 @@
 """The one policy for meshes that can't be traced: what is dropped, what is repaired, and how often.
 
 Triangles with a missing, non-finite or absurdly far corner and triangles without area are dropped; broken
-normals become the face normal; broken texture coordinates and attributes become zero. Works on NumPy arrays in
-blocks that fit the processor's cache, and returns the same object where nothing was wrong.
+normals become the face normal; broken texture coordinates and attributes become zero. A kernel tells whether there is
+anything wrong, and NumPy what, in blocks that fit the processor's cache; the same object is returned where nothing was.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import warp as wp
 
+from ..kernels.mesh_checks import find_defects
+from .device import launch, start_warp
 from .report import Report, ReportKind
 from .scene import MeshData
 
@@ -56,6 +59,8 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses
     them any more, but those that aren't finite become the origin, so that bounds made from them are finite.
     """
+    if not (_has_defects(mesh) or _repair_arrays(mesh.uv_maps)[1] or _repair_arrays(mesh.attributes)[1]):
+        return mesh, SanitizeCounts()
     triangles, positions = mesh.triangles, mesh.positions
     keep, counts = _classify_triangles(positions, triangles)
     if keep is not None:
@@ -70,6 +75,21 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     if normal_count or uv_count or attribute_count:
         mesh = replace(mesh, corner_normals=normals, uv_maps=uv_maps, attributes=attributes)
     return mesh, replace(counts, normals=normal_count, coordinates=uv_count + attribute_count)
+
+
+def _has_defects(mesh: MeshData) -> bool:
+    """Tell whether anything may be wrong with triangles, slots or normals; far quicker than to find out what."""
+    if not len(mesh.triangles) or not len(mesh.positions):
+        return len(mesh.triangles) > 0
+    start_warp()
+    found = np.zeros(1, np.int32)
+    arrays = [(mesh.positions, wp.vec3), (mesh.triangles, wp.vec3i), (mesh.material_slots, int),
+              (mesh.corner_normals.reshape(-1, 3), wp.vec3)]
+    launch(find_defects, len(mesh.triangles), [
+        *(wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False) for values, kind in arrays),
+        COORDINATE_LIMIT, _SLOT_MAX, _NORMAL_LENGTH_SQUARED_MIN],
+        [wp.array(found, dtype=int, device="cpu", copy=False)], "cpu")
+    return bool(found[0])
 
 
 def report_counts(report: Report, owner: str, counts: SanitizeCounts) -> None:

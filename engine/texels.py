@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pixels made ready for the device: four channels, a storage format, and a chain of mip levels. NumPy only.
+"""Pixels made ready for the device: four channels, a storage format, and a chain of mip levels.
 
 Formats. Level 0 holds the image's own values, bit for bit: 8- and 16-bit integers and half floats stay what they are.
 32-bit floats become halves where that costs nothing visible (a colour whose values fit), and stay floats where values
@@ -25,6 +25,7 @@ from ..kernels.texture import (
     TEXELS_HALF,
     TEXELS_SHORT,
 )
+from .mip_levels import can_halve, halve
 
 __all__ = [
     "TEXEL_BYTES", "Texels", "average", "clean", "expand_channels", "linear_to_srgb", "make_texels", "srgb_to_linear",
@@ -257,7 +258,12 @@ def make_texels(rgba: np.ndarray, *, srgb: bool, alpha: int, data: bool = False,
     levels = [rgba] if halvings == 0 else []
     values, level = None, 0
     while max(rgba.shape[:2] if values is None else values.shape[:2]) > 1:
-        values, level = _first_average(rgba, srgb, straight) if values is None else average(values), level + 1
+        above, level = rgba if values is None else values, level + 1
+        if rgba.dtype == np.uint8 and not straight and can_halve(above):
+            values, texels = halve(above, srgb, _decode_table(), _encode_table())
+        else:
+            values = _first_average(rgba, srgb, straight) if values is None else average(values)
+            texels = _encode(values, rgba.dtype, srgb, straight) if level >= halvings else None
         if level >= halvings:
-            levels.append(_encode(values, rgba.dtype, srgb, straight))
+            levels.append(texels)
     return Texels(levels=levels or [rgba], srgb=srgb, alpha=alpha, cleaned=cleaned)

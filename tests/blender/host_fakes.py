@@ -134,7 +134,7 @@ class FakeExtractor:
     def refresh(self):
         self.first = True
 
-    def extract(self, depsgraph, *, viewport, report, progress=None, cancelled=None, space=None):
+    def extract(self, depsgraph, *, viewport, report, progress=None, cancelled=None, space=None, performance=None):
         if FakeExtractor.fail_in_extract:
             raise KeyError("made to fail in extract")
         report.add(ReportKind.APPROXIMATED, "material 'Floor'", "Noise Texture replaced by its mean")
