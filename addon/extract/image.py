@@ -37,7 +37,7 @@ from .image_tiles import TILE_TOKENS, TiledImage, TileSource, generated_pixels, 
 __all__ = ["ImageCollector", "sequence_frame", "sequence_path", "working_space"]
 
 Key = Hashable
-THREADS_MAX = 8
+THREADS_MAX = 16
 
 
 def sequence_frame(scene_frame: int, image_user: bpy.types.ImageUser | None) -> int:
