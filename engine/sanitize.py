@@ -18,7 +18,7 @@ from .device import launch, start_warp
 from .report import Report, ReportKind
 from .scene import MeshData
 
-__all__ = ["COORDINATE_LIMIT", "SanitizeCounts", "report_counts", "sanitize_mesh"]
+__all__ = ["COORDINATE_LIMIT", "SanitizeCounts", "has_defects", "report_counts", "sanitize_mesh"]
 
 COORDINATE_LIMIT = 1e9
 """Largest coordinate drawn [m]: beyond it float32 resolves no less than 64 m"""
@@ -59,13 +59,13 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses
     them any more, but those that aren't finite become the origin, so that bounds made from them are finite.
     """
-    if not (_has_defects(mesh) or _repair_arrays(mesh.uv_maps)[1] or _repair_arrays(mesh.attributes)[1]):
+    if not (has_defects(mesh) or _repair_arrays(mesh.uv_maps)[1] or _repair_arrays(mesh.attributes)[1]):
         return mesh, SanitizeCounts()
     triangles, positions = mesh.triangles, mesh.positions
     keep, counts = _classify_triangles(positions, triangles)
     if keep is not None:
         mesh = _take_triangles(mesh, keep)
-    if counts.non_finite or counts.too_far:
+    if not _all_near(positions):
         mesh = replace(mesh, positions=_finite_positions(positions))
     if len(mesh.material_slots) and (mesh.material_slots.min() < 0 or mesh.material_slots.max() > _SLOT_MAX):
         mesh = replace(mesh, material_slots=np.clip(mesh.material_slots, 0, _SLOT_MAX))
@@ -77,8 +77,17 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     return mesh, replace(counts, normals=normal_count, coordinates=uv_count + attribute_count)
 
 
-def _has_defects(mesh: MeshData) -> bool:
-    """Tell whether anything may be wrong with triangles, slots or normals; far quicker than to find out what."""
+def _all_near(positions: np.ndarray) -> bool:
+    """Tell whether all coordinates are within the limit, those of vertices that no triangle has, too."""
+    # NaN makes the comparisons false.
+    return not len(positions) or bool(
+        positions.max() <= COORDINATE_LIMIT and positions.min() >= -COORDINATE_LIMIT)
+
+
+def has_defects(mesh: MeshData) -> bool:
+    """Tell whether anything may be wrong with vertices, triangles, slots or normals, without saying what."""
+    if not _all_near(mesh.positions):
+        return True
     if not len(mesh.triangles) or not len(mesh.positions):
         return len(mesh.triangles) > 0
     start_warp()

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from burnish.engine.report import Report
-from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, report_counts, sanitize_mesh
+from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, has_defects, report_counts, sanitize_mesh
 from burnish.engine.scene import MeshData
 
 
@@ -134,6 +134,20 @@ def test_counts_become_report_entries():
     report_counts(report, "object 'Wall'", SanitizeCounts(degenerate=5))
     entries = {(entry.owner, entry.count) for entry in report.entries()}
     assert entries == {("object 'Floor'", 3), ("", 7)}
+
+
+@pytest.mark.parametrize(("array", "place", "value"), [
+    ("positions", (7, 1), np.nan), ("positions", (0, 0), -np.inf), ("positions", (11, 2), 2e9),
+    ("triangles", (17, 2), 16), ("triangles", (0, 0), -1), ("triangles", (3, slice(None)), 5),
+    ("corner_normals", (17, 2), 0.0), ("corner_normals", (4, 0, 1), np.inf), ("material_slots", (9,), -1),
+    ("material_slots", (17,), 1 << 24),
+])
+def test_the_quick_look_finds_every_defect(array: str, place: tuple, value: float) -> None:
+    """Tell a whole mesh from one with a single wrong number, wherever that is."""
+    mesh = grid(4)
+    assert not has_defects(mesh)
+    getattr(mesh, array)[place] = value
+    assert has_defects(mesh)
 
 
 def test_a_million_triangles_take_a_moment():

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 from burnish.engine.image_files import ImageUnreadable, can_read_bytes, read_bytes, read_file
+from burnish.engine.image_loading import ImageLoading
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import AlphaMode, ColorEncoding, ImageData
 from burnish.engine.settings import PerformanceSettings
@@ -37,6 +40,64 @@ def random_pixels(dtype: str, height: int = 9, width: int = 14, channels: int = 
     """Return random pixels over the type's whole range (floats 0..1)."""
     values = np.random.default_rng(3).random((height, width, channels))
     return np.rint(values * np.iinfo(dtype).max).astype(dtype) if dtype.startswith("u") else values.astype(dtype)
+
+
+@pytest.mark.parametrize("srgb", [True, False])
+@pytest.mark.parametrize("shape", [(64, 96), (128, 32), (33, 64), (34, 2)])
+def test_kernels_halve_as_numpy_does(monkeypatch: pytest.MonkeyPatch, srgb: bool, shape: tuple[int, int]) -> None:
+    """Make the same bytes of every level, whether a kernel or NumPy averages it."""
+    pixels = random_pixels("uint8", *shape)
+    monkeypatch.setattr("burnish.engine.mip_levels.FEWEST", 1)
+    by_kernel = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED)
+    monkeypatch.setattr("burnish.engine.texels.can_halve", lambda values: False)
+    by_numpy = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED)
+    assert len(by_kernel.levels) == len(by_numpy.levels) > 5
+    for ours, theirs in zip(by_kernel.levels, by_numpy.levels, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_images_read_ahead_are_those_read_at_once(tmp_path: Path, device: str) -> None:
+    """Give the same textures where some images are on their way before the scene is whole; changed ones anew."""
+    images = {name: ImageData(name=name, path=write(tmp_path / f"{name}.png", random_pixels("uint8", 8 + i, 16)))
+              for i, name in enumerate("abc")}
+    images["lost"] = ImageData(name="lost", path=str(tmp_path / "nothing.png"))
+    settings, reports = PerformanceSettings(), (Report(), Report())
+    plain, ahead = TextureStore(device), TextureStore(device)
+    plain.update(images, settings, reports[0])
+    other = ImageData(name="b", path=images["a"].path)
+    loading = ImageLoading({"a": lambda: images["a"], "b": lambda: other, "lost": lambda: images["lost"]}, settings)
+    ahead.update(images, settings, reports[1], loading)
+    assert reports[0].counts == reports[1].counts and len(reports[0].counts) == 1
+    for name in "abc":
+        for level in (0, 1):
+            np.testing.assert_array_equal(ahead.level(name, level), plain.level(name, level))
+
+
+def test_images_read_ahead_keep_to_the_budget(device: str) -> None:
+    """Halve images that were read whole, once others turn out to need the room too."""
+    images = {name: ImageData(name=name, pixels=random_pixels("uint8", 256, 512)) for name in "abcd"}
+    settings = PerformanceSettings(texture_budget=1)
+    plain, ahead = TextureStore(device), TextureStore(device)
+    plain.update(images, settings, Report())
+    ahead.update(images, settings, Report(), ImageLoading({"a": lambda: images["a"]}, settings))
+    sizes = [[store.level(name).shape for name in images] for store in (plain, ahead)]
+    assert sizes[0] == sizes[1] and ahead.bytes == plain.bytes <= 1 << 20
+    np.testing.assert_array_equal(ahead.level("a"), plain.level("a"))
+
+
+def test_images_that_nobody_takes_end(device: str) -> None:
+    """Read no more once stopped."""
+    begun: list[str] = []
+
+    def slow(name: str) -> ImageData:
+        begun.append(name)
+        time.sleep(0.05)
+        return ImageData(name=name, pixels=random_pixels("uint8"))
+
+    loading = ImageLoading({name: lambda name=name: slow(name) for name in "ab"}, PerformanceSettings())
+    loading.stop()
+    time.sleep(0.3)
+    assert len(begun) <= 2 and not any("burnish images" in thread.name for thread in threading.enumerate())
 
 
 def load(image: ImageData, device: str, **settings: int) -> tuple[TextureStore, Report]:
