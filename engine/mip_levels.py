@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Halves images of bytes by kernels (kernels/mip_levels.py), on the calling thread and without Python's lock."""
+"""Images of bytes widened and halved by kernels (kernels/mip_levels.py), on the calling thread, without Python's lock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import warp as wp
 from ..kernels import mip_levels as kernels
 from .device import launch, start_warp
 
-__all__ = ["can_halve", "halve"]
+__all__ = ["can_halve", "can_widen", "halve", "widen"]
 
 FEWEST = 1 << 10
 """Texels below which NumPy is as fast"""
@@ -20,6 +20,21 @@ def can_halve(values: np.ndarray) -> bool:
     height, width = values.shape[:2]
     return (values.dtype in (np.uint8, np.uint16) and height % 2 == 0 and width % 2 == 0
             and height * width >= FEWEST and values.flags.c_contiguous)
+
+
+def can_widen(pixels: np.ndarray) -> bool:
+    """Tell whether `widen` takes [H, W, C] pixels, and is worth its launch."""
+    return (pixels.dtype == np.uint8 and pixels.shape[2] == 3 and pixels.size >= 3 * FEWEST
+            and pixels.flags.c_contiguous)
+
+
+def widen(pixels: np.ndarray) -> np.ndarray:
+    """Return pixels, uint8 [H, W, 3], with an alpha of 1: [H, W, 4]; see `can_widen`."""
+    start_warp()
+    texels = np.empty((*pixels.shape[:2], 4), np.uint8)
+    launch(kernels.widen_bytes, pixels.size // 3, [_shared(pixels.reshape(-1, 3), wp.vec3ub)],
+           [_shared(texels.reshape(-1, 4), wp.vec4ub)], "cpu")
+    return texels
 
 
 def halve(

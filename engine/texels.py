@@ -25,7 +25,7 @@ from ..kernels.texture import (
     TEXELS_HALF,
     TEXELS_SHORT,
 )
-from .mip_levels import can_halve, halve
+from .mip_levels import can_halve, can_widen, halve, widen
 
 __all__ = [
     "TEXEL_BYTES", "Texels", "average", "clean", "expand_channels", "linear_to_srgb", "make_texels", "srgb_to_linear",
@@ -108,6 +108,8 @@ def expand_channels(pixels: np.ndarray, *, gray_alpha: bool = True) -> np.ndarra
     height, width, channels = pixels.shape
     if channels == 4:
         return np.ascontiguousarray(pixels)
+    if can_widen(pixels):
+        return widen(pixels)
     rgba = np.empty((height, width, 4), pixels.dtype)
     rgba[..., 3] = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     if channels == 1 or (channels == 2 and gray_alpha):

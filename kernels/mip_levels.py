@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mip levels of images of bytes, averaged in 16 bits of linear light; both sides of what is halved are even.
+"""Images of bytes: their fourth channel, and their mip levels, averaged in 16 bits of linear light.
 
-For the processor, which reads the images: many are halved at the same time, in threads (engine/mip_levels.py). In whole
-numbers, so that the results are those of NumPy in engine/texels.py.
+For the processor, which reads the images: many are made ready at the same time, in threads (engine/mip_levels.py). Both
+sides of what is halved are even. In whole numbers, so that the results are those of NumPy in engine/texels.py.
 """
 
 from __future__ import annotations
@@ -50,6 +50,19 @@ def mean_texel(a: wp.vec4i, b: wp.vec4i, c: wp.vec4i, d: wp.vec4i) -> wp.vec4i:
     return wp.vec4i(
         mean_of_four(a[0], b[0], c[0], d[0]), mean_of_four(a[1], b[1], c[1], d[1]),
         mean_of_four(a[2], b[2], c[2], d[2]), mean_of_four(a[3], b[3], c[3], d[3]))
+
+
+@wp.kernel
+def widen_bytes(
+    # In:
+    pixels: wp.array[wp.vec3ub],
+    # Out:
+    texels_out: wp.array[wp.vec4ub],
+):
+    """Give pixels of three channels an alpha of 1."""
+    i = wp.tid()
+    pixel = pixels[i]
+    texels_out[i] = wp.vec4ub(pixel[0], pixel[1], pixel[2], wp.uint8(255))
 
 
 @wp.kernel

@@ -56,6 +56,15 @@ def test_kernels_halve_as_numpy_does(monkeypatch: pytest.MonkeyPatch, srgb: bool
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_kernels_widen_as_numpy_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Add the same alpha to three channels, whether a kernel or NumPy does."""
+    pixels = random_pixels("uint8", 33, 40, 3)
+    by_kernel = expand_channels(pixels)
+    monkeypatch.setattr("burnish.engine.texels.can_widen", lambda values: False)
+    np.testing.assert_array_equal(by_kernel, expand_channels(pixels))
+    assert by_kernel.shape == (33, 40, 4) and (by_kernel[..., 3] == 255).all()
+
+
 def test_images_read_ahead_are_those_read_at_once(tmp_path: Path, device: str) -> None:
     """Give the same textures where some images are on their way before the scene is whole; changed ones anew."""
     images = {name: ImageData(name=name, path=write(tmp_path / f"{name}.png", random_pixels("uint8", 8 + i, 16)))
