@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Images of bytes widened and halved by kernels (kernels/mip_levels.py), on the calling thread, without Python's lock."""
+"""Images of bytes widened and halved by kernels (kernels/mip_levels.py) on the calling thread, without Python's lock."""
 
 from __future__ import annotations
 
