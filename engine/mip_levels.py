@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Images of bytes widened and halved by kernels (kernels/mip_levels.py) on the calling thread, without Python's lock."""
+"""Images of bytes widened and halved by kernels (kernels/mip_levels.py); Python's lock is free meanwhile."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FEWEST = 1 << 10
 """Texels below which NumPy is as fast"""
 
 
-def can_halve(values: np.ndarray) -> bool:
-    """Tell whether `halve` takes [H, W, 4] values, and is worth its launch."""
-    height, width = values.shape[:2]
-    return (values.dtype in (np.uint8, np.uint16) and height % 2 == 0 and width % 2 == 0
-            and height * width >= FEWEST and values.flags.c_contiguous)
+def can_halve(rgba: np.ndarray) -> bool:
+    """Tell whether `halve` takes [H, W, 4] texels, and is worth its launch."""
+    height, width = rgba.shape[:2]
+    return (rgba.dtype == np.uint8 and height % 2 == 0 and width % 2 == 0 and height * width >= FEWEST
+            and rgba.flags.c_contiguous)
 
 
 def can_widen(pixels: np.ndarray) -> bool:
@@ -38,26 +38,28 @@ def widen(pixels: np.ndarray) -> np.ndarray:
 
 
 def halve(
-    values: np.ndarray, srgb: bool, decode: np.ndarray, encode: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the next level in linear light, uint16, and as texels, uint8: [H / 2, W / 2, 4] each.
+    rgba: np.ndarray, srgb: bool, decode: np.ndarray, encode: np.ndarray,
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return an image's levels, until a side is odd: the last in linear light, uint16, and all as texels, uint8.
 
     Args:
-        values: uint8 as stored, or uint16 in linear light; see `can_halve`.
+        rgba: Level 0, uint8 [H, W, 4]; see `can_halve`.
         srgb: Whether texels are encoded, but for alpha.
         decode: uint16 [256], linear by encoded.
         encode: uint8 [65536], encoded by linear.
     """
     start_warp()
-    height, width = values.shape[0] // 2, values.shape[1] // 2
-    linear, texels = np.empty((height, width, 4), np.uint16), np.empty((height, width, 4), np.uint8)
-    tables = [_shared(encode, wp.uint8)]
-    kernel, kind = kernels.halve_linear, wp.vec4us
-    if values.dtype == np.uint8:
-        kernel, kind, tables = kernels.halve_bytes, wp.vec4ub, [_shared(decode, wp.uint16), *tables]
-    launch(kernel, height * width, [2 * width, int(srgb), *tables, _shared(values.reshape(-1, 4), kind)],
-           [_shared(linear.reshape(-1, 4), wp.vec4us), _shared(texels.reshape(-1, 4), wp.vec4ub)], "cpu")
-    return linear, texels
+    shapes = [rgba.shape[:2]]
+    while shapes[-1][0] % 2 == 0 and shapes[-1][1] % 2 == 0:
+        shapes.append((shapes[-1][0] // 2, shapes[-1][1] // 2))
+    ends = np.cumsum([height * width for height, width in shapes[1:]]).tolist()
+    linear, texels = np.empty((ends[-1], 4), np.uint16), np.empty((ends[-1], 4), np.uint8)
+    launch(kernels.build_levels, 1, [
+        rgba.shape[1], rgba.shape[0], len(ends), int(srgb), _shared(decode, wp.uint16), _shared(encode, wp.uint8),
+        _shared(rgba.reshape(-1, 4), wp.vec4ub)], [_shared(linear, wp.vec4us), _shared(texels, wp.vec4ub)], "cpu")
+    starts = [0, *ends[:-1]]
+    levels = [texels[start:end].reshape(*shape, 4) for start, end, shape in zip(starts, ends, shapes[1:], strict=True)]
+    return linear[starts[-1]:].reshape(*shapes[-1], 4), levels
 
 
 def _shared(values: np.ndarray, dtype: type) -> wp.array:

@@ -259,13 +259,12 @@ def make_texels(rgba: np.ndarray, *, srgb: bool, alpha: int, data: bool = False,
     straight = alpha == ALPHA_STRAIGHT
     levels = [rgba] if halvings == 0 else []
     values, level = None, 0
+    if not straight and can_halve(rgba):
+        values, made = halve(rgba, srgb, _decode_table(), _encode_table())
+        level = len(made)
+        levels += made[max(halvings - 1, 0):]
     while max(rgba.shape[:2] if values is None else values.shape[:2]) > 1:
-        above, level = rgba if values is None else values, level + 1
-        if rgba.dtype == np.uint8 and not straight and can_halve(above):
-            values, texels = halve(above, srgb, _decode_table(), _encode_table())
-        else:
-            values = _first_average(rgba, srgb, straight) if values is None else average(values)
-            texels = _encode(values, rgba.dtype, srgb, straight) if level >= halvings else None
+        values, level = _first_average(rgba, srgb, straight) if values is None else average(values), level + 1
         if level >= halvings:
-            levels.append(texels)
+            levels.append(_encode(values, rgba.dtype, srgb, straight))
     return Texels(levels=levels or [rgba], srgb=srgb, alpha=alpha, cleaned=cleaned)

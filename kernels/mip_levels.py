@@ -65,10 +65,18 @@ def widen_bytes(
     texels_out[i] = wp.vec4ub(pixel[0], pixel[1], pixel[2], wp.uint8(255))
 
 
+@wp.func
+def wide_texel(texel: wp.vec4us) -> wp.vec4i:
+    """Return linear 16 bits as whole numbers."""
+    return wp.vec4i(int(texel[0]), int(texel[1]), int(texel[2]), int(texel[3]))
+
+
 @wp.kernel
-def halve_bytes(
+def build_levels(
     # In:
     width: int,
+    height: int,
+    levels: int,
     srgb: int,
     decode: wp.array[wp.uint16],
     encode: wp.array[wp.uint8],
@@ -77,40 +85,37 @@ def halve_bytes(
     linear_out: wp.array[wp.vec4us],
     texels_out: wp.array[wp.vec4ub],
 ):
-    """Average level 0, whose rows have `width` texels, to level 1: linear 16 bits, and bytes as level 0 has them."""
-    i = wp.tid()
-    half = width / 2
-    first = (i / half) * 2 * width + (i % half) * 2
-    mean = mean_texel(
-        decode_texel(texels[first], srgb, decode), decode_texel(texels[first + 1], srgb, decode),
-        decode_texel(texels[first + width], srgb, decode), decode_texel(texels[first + width + 1], srgb, decode))
-    linear_out[i] = wp.vec4us(wp.uint16(mean[0]), wp.uint16(mean[1]), wp.uint16(mean[2]), wp.uint16(mean[3]))
-    texels_out[i] = encode_texel(mean, srgb, encode)
+    """Write the levels from 1 on, one after another, in linear 16 bits and as bytes as level 0 has them; one thread.
 
-
-@wp.kernel
-def halve_linear(
-    # In:
-    width: int,
-    srgb: int,
-    encode: wp.array[wp.uint8],
-    linear: wp.array[wp.vec4us],
-    # Out:
-    linear_out: wp.array[wp.vec4us],
-    texels_out: wp.array[wp.vec4ub],
-):
-    """Average a level in linear 16 bits, whose rows have `width` texels, to the next, in 16 bits and as bytes."""
-    i = wp.tid()
-    half = width / 2
-    first = (i / half) * 2 * width + (i % half) * 2
-    mean = mean_texel(
-        wide_texel(linear[first]), wide_texel(linear[first + 1]), wide_texel(linear[first + width]),
-        wide_texel(linear[first + width + 1]))
-    linear_out[i] = wp.vec4us(wp.uint16(mean[0]), wp.uint16(mean[1]), wp.uint16(mean[2]), wp.uint16(mean[3]))
-    texels_out[i] = encode_texel(mean, srgb, encode)
-
-
-@wp.func
-def wide_texel(texel: wp.vec4us) -> wp.vec4i:
-    """Return linear 16 bits as whole numbers."""
-    return wp.vec4i(int(texel[0]), int(texel[1]), int(texel[2]), int(texel[3]))
+    In detail:
+        width: Of level 0; both its sides are even, and those of all levels but the last.
+        levels: How many there are.
+    """
+    across = width
+    down = height
+    above = int(0)
+    start = int(0)
+    for level in range(levels):
+        half = across / 2
+        rows = down / 2
+        for y in range(rows):
+            for x in range(half):
+                first = above + 2 * y * across + 2 * x
+                mean = wp.vec4i(0, 0, 0, 0)
+                if level == 0:
+                    mean = mean_texel(
+                        decode_texel(texels[first], srgb, decode), decode_texel(texels[first + 1], srgb, decode),
+                        decode_texel(texels[first + across], srgb, decode),
+                        decode_texel(texels[first + across + 1], srgb, decode))
+                else:
+                    mean = mean_texel(
+                        wide_texel(linear_out[first]), wide_texel(linear_out[first + 1]),
+                        wide_texel(linear_out[first + across]), wide_texel(linear_out[first + across + 1]))
+                place = start + y * half + x
+                linear_out[place] = wp.vec4us(
+                    wp.uint16(mean[0]), wp.uint16(mean[1]), wp.uint16(mean[2]), wp.uint16(mean[3]))
+                texels_out[place] = encode_texel(mean, srgb, encode)
+        above = start
+        start = start + rows * half
+        across = half
+        down = rows

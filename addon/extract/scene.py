@@ -189,18 +189,20 @@ class SceneExtractor:
         self._merged = None
         self._aovs = _asked_aovs(depsgraph)
         images = self._begin_images(depsgraph, delta.full)
-        if changes.everything or changes.instances or changes.materials or changes.images:
+        walk = changes.everything or changes.instances or changes.materials or changes.images
+        if walk:
             self._walk_report = Report()
             gathered = gather_instances(depsgraph, space=space, report=self._walk_report,
                                         cancelled=callbacks.cancelled)
             self.counts.instances = len(gathered.rows)
             self._extract_materials(delta, gathered, changes, images, callbacks)
-            if performance is not None and images.started:
-                delta.loading = ImageLoading(images.started, performance)
+        self._extract_world(delta, depsgraph, changes, images)
+        if performance is not None and images.started:
+            delta.loading = ImageLoading(images.started, performance)
+        if walk:
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
             lamps = self._extract_lights(gathered, changes, images)
             self._moves.note(depsgraph, changes.objects, gathered, of_mesh, kept, self._table, lamps)
-        self._extract_world(delta, depsgraph, changes, images)
         self._hand_over_lights(delta)
         self._layer.end()
         callbacks.step("Reading images", 1.0)

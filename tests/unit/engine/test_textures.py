@@ -43,15 +43,18 @@ def random_pixels(dtype: str, height: int = 9, width: int = 14, channels: int = 
 
 
 @pytest.mark.parametrize("srgb", [True, False])
-@pytest.mark.parametrize("shape", [(64, 96), (128, 32), (33, 64), (34, 2)])
-def test_kernels_halve_as_numpy_does(monkeypatch: pytest.MonkeyPatch, srgb: bool, shape: tuple[int, int]) -> None:
+@pytest.mark.parametrize("halvings", [0, 1, 3, 6])
+@pytest.mark.parametrize("shape", [(64, 96), (128, 32), (33, 64), (34, 2), (12, 80), (64, 64)])
+def test_kernels_halve_as_numpy_does(
+    monkeypatch: pytest.MonkeyPatch, srgb: bool, shape: tuple[int, int], halvings: int,
+) -> None:
     """Make the same bytes of every level, whether a kernel or NumPy averages it."""
     pixels = random_pixels("uint8", *shape)
     monkeypatch.setattr("burnish.engine.mip_levels.FEWEST", 1)
-    by_kernel = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED)
+    by_kernel = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED, halvings=halvings)
     monkeypatch.setattr("burnish.engine.texels.can_halve", lambda values: False)
-    by_numpy = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED)
-    assert len(by_kernel.levels) == len(by_numpy.levels) > 5
+    by_numpy = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED, halvings=halvings)
+    assert len(by_kernel.levels) == len(by_numpy.levels) > 0
     for ours, theirs in zip(by_kernel.levels, by_numpy.levels, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
