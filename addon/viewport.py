@@ -101,10 +101,13 @@ class Viewport:
     def update(self, context: Any, depsgraph: Any) -> None:
         """Extract what changed and post it; a failed worker is replaced, with the full scene."""
         self.message = ""
+        performance = None
         if self._worker is None or self._worker.failed or not self._worker.alive:
             self._restart()
+            performance = settings_from_scene(context.scene, viewport=True).performance
         self._report = Report()
-        delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data)
+        delta = self._extractor.extract(depsgraph, viewport=True, report=self._report, space=context.space_data,
+                                        performance=performance)
         if delta.full or delta.materials or delta.world is not None or delta.instances is not None:
             self._facts = scene_facts(
                 self._extractor.materials(), self._extractor.linked_materials(), self._extractor.world,

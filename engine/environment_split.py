@@ -134,9 +134,9 @@ def _threshold(mean: np.ndarray, solid_angle: np.ndarray) -> float:
     """
     mean, solid_angle = mean.ravel(), np.ravel(solid_angle)
     whole = float(mean @ solid_angle)
-    threshold = THRESHOLD_RATIO * whole
+    threshold, limited = THRESHOLD_RATIO * whole, np.empty_like(mean)
     for _ in range(16):
-        before, soft = threshold, float(np.minimum(mean, threshold) @ solid_angle)
+        before, soft = threshold, float(np.minimum(mean, threshold, out=limited) @ solid_angle)
         # A sun in a black sky has no soft part: keep the threshold above nothing.
         threshold = max(THRESHOLD_RATIO * soft, 1e-3 * whole)
         if abs(threshold - before) <= PRECISION * before:
