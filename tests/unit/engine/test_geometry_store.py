@@ -73,13 +73,13 @@ def test_meshes_are_what_was_put(device: str) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_loose_vertices_that_are_not_finite_bound_nothing(value: float) -> None:
+def test_loose_vertices_that_are_not_finite_bound_nothing(device: str, value: float) -> None:
     """Draw a mesh of which a vertex that no triangle has is nowhere, with bounds of what it shows."""
     mesh = scenes.quad()
     loose = np.concatenate([mesh.positions, np.full((1, 3), value, np.float32)])
     mesh, counts = sanitize_mesh(MeshData(**{**vars(mesh), "positions": loose}))
     assert counts.dropped == 0
-    scene = DeviceScene("cpu")
+    scene = DeviceScene(device)
     scene.apply(scenes.delta({"quad": mesh}, [("quad", np.eye(4), "grey")], {"grey": scenes.material()}),
                 PerformanceSettings())
     assert scene.drawn.all() and np.isfinite(scene.low).all() and np.isfinite(scene.high).all()
