@@ -161,8 +161,7 @@ KERNEL_MODULES = (
     fog_blend, fog_composite, fog_rays, fog_samples,
     film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
     cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, wide_instances_edit, opacity_maps,
-    opacity_answers, decided_instances, decided_layers, clear_tracing, lobe_moments, mesh_islands, mesh_checks,
-    mip_levels,
+    opacity_answers, decided_instances, decided_layers, clear_tracing, lobe_moments,
     antialias, cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade, cache_spread, composite,
     composite_debug, denoise_debug, gather_blend, gather_temporal, probe_contact, diffuse_blur, diffuse_temporal,
     defocus, defocus_layers, defocus_gather, depth_of_field,
@@ -182,7 +181,13 @@ KERNEL_MODULES = (
     reference_subsurface, reference_hair, materials_hair, first_hits, media_march, media_scatter, media_shadows,
     reflection_media, volume_bake, volume_march, volume_scatter, volume_shadows,
 )
-"""Modules that own kernels, the quickest to build first; but albedo_tables, which tables.py loads."""
+"""Modules that own kernels, the quickest to build first; but those below, and albedo_tables, which tables.py loads."""
+
+HOST_MODULES = (mesh_checks, mesh_islands, mip_levels)
+"""Modules that the processor alone runs, whatever the device: it reads meshes and images"""
+
+SHARED_MODULES = (cluster_tree, tree_reinsertion)
+"""Modules that the processor runs as well where it isn't the device"""
 
 _lock = threading.Lock()
 _ready: set[str] = set()
@@ -203,27 +208,30 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
     with _lock:
         if device in _ready:
             return 0.0
-        names = [module.__name__ for module in KERNEL_MODULES]
+        names, own = ([module.__name__ for module in modules] for modules in (KERNEL_MODULES, HOST_MODULES))
         if device == "cpu":
-            # One at a time: concurrent first loads of CPU modules race in Warp.
-            for number, name in enumerate(names, 1):
-                _tell(progress, name, number)
-                _load(name, device)
+            names, own = [], names + own
         else:
-            with ThreadPoolExecutor(thread_count()) as pool:
-                # The longest first: none is left for the end then, when threads have nothing else to do.
-                loads = {pool.submit(_load, name, device): name for name in reversed(names)}
-                _tell(progress, names[-1], 1)
-                for number, load in enumerate(as_completed(loads), 1):
-                    _tell(progress, loads[load], number)
-                    load.result()
+            own += [module.__name__ for module in SHARED_MODULES]
+        count = len(names) + len(own)
+        with ThreadPoolExecutor(thread_count()) as pool:
+            # The longest first: none is left for the end then, when threads have nothing else to do.
+            loads = {pool.submit(_load, name, device): name for name in reversed(names)}
+            _tell(progress, (names or own)[-1], 1, count)
+            for number, load in enumerate(as_completed(loads), 1):
+                _tell(progress, loads[load], number, count)
+                load.result()
+        # One at a time: concurrent first loads of CPU modules race in Warp.
+        for number, name in enumerate(own, len(names) + 1):
+            _tell(progress, name, number, count)
+            _load(name, "cpu")
         _ready.add(device)
     return time.perf_counter() - start
 
 
-def _tell(progress: Callable[[str, int, int], None] | None, name: str, number: int) -> None:
+def _tell(progress: Callable[[str, int, int], None] | None, name: str, number: int, count: int) -> None:
     if progress is not None:
-        progress(name.rpartition(".")[2], number, len(KERNEL_MODULES))
+        progress(name.rpartition(".")[2], number, count)
 
 
 def _load(name: str, device: str) -> None:
