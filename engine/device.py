@@ -24,8 +24,8 @@ from .kernel_cache import chosen_folder
 from .settings import Device
 
 __all__ = [
-    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "kernel_cache_folder", "launch",
-    "launch_bands", "run_bands", "start_warp", "thread_count", "use_threads",
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "is_loaded", "kernel_cache_folder",
+    "launch", "launch_bands", "load_module", "run_bands", "start_warp", "thread_count", "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -224,6 +224,24 @@ def block_size(module_name: str, device: str) -> int:
     """Return the threads a block with which a kernel module is launched (modules are built for one size)."""
     # On the CPU Warp launches one thread a block.
     return 1 if device == "cpu" else BLOCK_SIZES.get(module_name.rpartition(".")[2], DEFAULT_BLOCK)
+
+
+def load_module(name: str, device: str) -> bool:
+    """Build or load a kernel module for a device, on the CPU one at a time: concurrent first loads race in Warp there.
+
+    Returns:
+        Whether it could be built. Raises what Warp does.
+    """
+    with _load_lock if device == "cpu" else contextlib.nullcontext():
+        loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device)) is not None
+        if loaded:
+            _loaded.add((name, device))
+    return loaded
+
+
+def is_loaded(kernel: wp.Kernel, device: str) -> bool:
+    """Return whether a kernel can be launched without being waited for."""
+    return (kernel.module.name, device) in _loaded
 
 
 def _load(kernel: wp.Kernel, device: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.mesh_islands import join_edges
-from .device import start_warp
+from .device import launch, start_warp
 
 __all__ = ["HAIR", "ISLAND", "POINTINESS", "ROOT", "STRAND", "derived_names", "hashed", "pointiness",
            "random_per_island"]
@@ -35,7 +35,7 @@ def random_per_island(vertex_count: int, edges: np.ndarray) -> np.ndarray:
     parents = wp.array(np.arange(vertex_count, dtype=np.int32), dtype=int, device="cpu")
     ranks = wp.zeros(vertex_count, dtype=int, device="cpu")
     pairs = wp.array(np.ascontiguousarray(edges, np.int32).reshape(-1, 2), dtype=wp.vec2i, device="cpu")
-    wp.launch(join_edges, 1, [pairs], [parents, ranks], device="cpu")
+    launch(join_edges, 1, [pairs], [parents, ranks], "cpu")
     return (hashed(parents.numpy()) / np.float32(0xFFFFFFFF)).astype(np.float32)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import mip_levels as kernels
-from .device import launch, start_warp
+from .device import is_loaded, launch
 
 __all__ = ["can_halve", "can_widen", "halve", "widen"]
 
@@ -16,21 +16,20 @@ FEWEST = 1 << 10
 
 
 def can_halve(rgba: np.ndarray) -> bool:
-    """Tell whether `halve` takes [H, W, 4] texels, and is worth its launch."""
+    """Tell whether `halve` takes [H, W, 4] texels, is worth its launch, and need not be built first."""
     height, width = rgba.shape[:2]
     return (rgba.dtype == np.uint8 and height % 2 == 0 and width % 2 == 0 and height * width >= FEWEST
-            and rgba.flags.c_contiguous)
+            and rgba.flags.c_contiguous and is_loaded(kernels.build_levels, "cpu"))
 
 
 def can_widen(pixels: np.ndarray) -> bool:
-    """Tell whether `widen` takes [H, W, C] pixels, and is worth its launch."""
+    """Tell whether `widen` takes [H, W, C] pixels, is worth its launch, and need not be built first."""
     return (pixels.dtype == np.uint8 and pixels.shape[2] == 3 and pixels.size >= 3 * FEWEST
-            and pixels.flags.c_contiguous)
+            and pixels.flags.c_contiguous and is_loaded(kernels.widen_bytes, "cpu"))
 
 
 def widen(pixels: np.ndarray) -> np.ndarray:
     """Return pixels, uint8 [H, W, 3], with an alpha of 1: [H, W, 4]; see `can_widen`."""
-    start_warp()
     texels = np.empty((*pixels.shape[:2], 4), np.uint8)
     launch(kernels.widen_bytes, pixels.size // 3, [_shared(pixels.reshape(-1, 3), wp.vec3ub)],
            [_shared(texels.reshape(-1, 4), wp.vec4ub)], "cpu")
@@ -48,7 +47,6 @@ def halve(
         decode: uint16 [256], linear by encoded.
         encode: uint8 [65536], encoded by linear.
     """
-    start_warp()
     shapes = [rgba.shape[:2]]
     while shapes[-1][0] % 2 == 0 and shapes[-1][1] % 2 == 0:
         shapes.append((shapes[-1][0] // 2, shapes[-1][1] // 2))

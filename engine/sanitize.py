@@ -2,8 +2,9 @@
 """The one policy for meshes that can't be traced: what is dropped, what is repaired, and how often.
 
 Triangles with a missing, non-finite or absurdly far corner and triangles without area are dropped; broken
-normals become the face normal; broken texture coordinates and attributes become zero. A kernel tells whether there is
-anything wrong, and NumPy what, in blocks that fit the processor's cache; the same object is returned where nothing was.
+normals become the face normal; broken texture coordinates and attributes become zero. A kernel, once it is
+built, tells whether there is anything wrong, and NumPy what, in blocks that fit the processor's cache; the same object
+is returned where nothing was.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.mesh_checks import find_defects
-from .device import launch, start_warp
+from .device import is_loaded, launch, start_warp
 from .report import Report, ReportKind
 from .scene import MeshData
 
@@ -59,7 +60,8 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
     Slots below 0 become the first, those beyond any object's the last. Vertices are kept even where no triangle uses
     them any more, but those that aren't finite become the origin, so that bounds made from them are finite.
     """
-    if not (has_defects(mesh) or _repair_arrays(mesh.uv_maps)[1] or _repair_arrays(mesh.attributes)[1]):
+    quick = is_loaded(find_defects, "cpu")
+    if quick and not (has_defects(mesh) or _repair_arrays(mesh.uv_maps)[1] or _repair_arrays(mesh.attributes)[1]):
         return mesh, SanitizeCounts()
     triangles, positions = mesh.triangles, mesh.positions
     keep, counts = _classify_triangles(positions, triangles)

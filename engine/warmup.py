@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-import warp as wp
-
 from ..kernels import (
     antialias,
     cache_cells,
@@ -152,7 +150,7 @@ from ..kernels import (
     wide_instances_edit,
     world_split,
 )
-from .device import block_size, start_warp, thread_count
+from .device import load_module, start_warp, thread_count
 from .errors import KernelBuildFailed
 
 __all__ = ["KERNEL_MODULES", "warm_up"]
@@ -221,7 +219,6 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
             for number, load in enumerate(as_completed(loads), 1):
                 _tell(progress, loads[load], number, count)
                 load.result()
-        # One at a time: concurrent first loads of CPU modules race in Warp.
         for number, name in enumerate(own, len(names) + 1):
             _tell(progress, name, number, count)
             _load(name, "cpu")
@@ -238,8 +235,8 @@ def _load(name: str, device: str) -> None:
     """Build or load one module."""
     title = name.rpartition(".")[2]
     try:
-        loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device))
+        loaded = load_module(name, device)
     except Exception as error:
         raise KernelBuildFailed(f"The kernels '{title}' could not be built for {device}: {error}") from error
-    if loaded is None:
+    if not loaded:
         raise KernelBuildFailed(f"The kernels '{title}' could not be built for {device}; see the console.")

@@ -7,9 +7,11 @@ import time
 
 import numpy as np
 import pytest
+from burnish.engine.device import load_module, start_warp
 from burnish.engine.report import Report
 from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, has_defects, report_counts, sanitize_mesh
 from burnish.engine.scene import MeshData
+from burnish.kernels.mesh_checks import find_defects
 
 
 def grid(side: int) -> MeshData:
@@ -28,6 +30,15 @@ def grid(side: int) -> MeshData:
         material_slots=np.arange(count, dtype=np.int32), corner_normals=normals,
         uv_maps={"UV": rng.random((count, 3, 2), np.float32)},
         attributes={"Color": rng.random((count, 3, 4), np.float32)})
+
+
+@pytest.fixture(autouse=True, params=[True, False], ids=["kernel", "NumPy"])
+def built(request, monkeypatch):
+    """Run each test with the kernel that looks for defects, and as it goes before that is built."""
+    start_warp()
+    load_module(find_defects.module.name, "cpu")
+    if not request.param:
+        monkeypatch.setattr("burnish.engine.sanitize.is_loaded", lambda kernel, device: False)
 
 
 def test_good_mesh_is_returned_as_it_is():

@@ -10,14 +10,17 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from burnish.engine.device import load_module, start_warp
 from burnish.engine.image_files import ImageUnreadable, can_read_bytes, read_bytes, read_file
 from burnish.engine.image_loading import ImageLoading
+from burnish.engine.mip_levels import can_halve, can_widen
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import AlphaMode, ColorEncoding, ImageData
 from burnish.engine.settings import PerformanceSettings
 from burnish.engine.texels import average, expand_channels, linear_to_srgb, make_texels, srgb_to_linear
 from burnish.engine.texture_budget import TextureSize, fit
 from burnish.engine.textures import TextureStore
+from burnish.kernels import mip_levels as mip_kernels
 from burnish.kernels.texture import ALPHA_ASSOCIATED, ALPHA_STRAIGHT, ALPHA_UNRELATED, TEXELS_FLOAT, TEXELS_HALF
 
 LINEAR = {"encoding": ColorEncoding.LINEAR, "source_colorspace": "Linear Rec.709"}
@@ -42,6 +45,14 @@ def random_pixels(dtype: str, height: int = 9, width: int = 14, channels: int = 
     return np.rint(values * np.iinfo(dtype).max).astype(dtype) if dtype.startswith("u") else values.astype(dtype)
 
 
+@pytest.fixture
+def image_kernels() -> None:
+    """Have the kernels for images built, without which NumPy does their work."""
+    start_warp()
+    assert load_module(mip_kernels.__name__, "cpu")
+
+
+@pytest.mark.usefixtures("image_kernels")
 @pytest.mark.parametrize("srgb", [True, False])
 @pytest.mark.parametrize("halvings", [0, 1, 3, 6])
 @pytest.mark.parametrize("shape", [(64, 96), (128, 32), (33, 64), (34, 2), (12, 80), (64, 64)])
@@ -51,6 +62,7 @@ def test_kernels_halve_as_numpy_does(
     """Make the same bytes of every level, whether a kernel or NumPy averages it."""
     pixels = random_pixels("uint8", *shape)
     monkeypatch.setattr("burnish.engine.mip_levels.FEWEST", 1)
+    assert can_halve(pixels) == (shape[0] % 2 == 0)
     by_kernel = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED, halvings=halvings)
     monkeypatch.setattr("burnish.engine.texels.can_halve", lambda values: False)
     by_numpy = make_texels(pixels, srgb=srgb, alpha=ALPHA_UNRELATED, halvings=halvings)
@@ -59,9 +71,11 @@ def test_kernels_halve_as_numpy_does(
         np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.usefixtures("image_kernels")
 def test_kernels_widen_as_numpy_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Add the same alpha to three channels, whether a kernel or NumPy does."""
     pixels = random_pixels("uint8", 33, 40, 3)
+    assert can_widen(pixels)
     by_kernel = expand_channels(pixels)
     monkeypatch.setattr("burnish.engine.texels.can_widen", lambda values: False)
     np.testing.assert_array_equal(by_kernel, expand_channels(pixels))
