@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import warp as wp
 
 from .errors import BurnishError, DeviceUnavailable, OutOfDeviceMemory
@@ -24,8 +25,9 @@ from .kernel_cache import chosen_folder
 from .settings import Device
 
 __all__ = [
-    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "is_loaded", "kernel_cache_folder",
-    "launch", "launch_bands", "load_module", "run_bands", "start_warp", "thread_count", "use_threads",
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "host_array", "is_loaded",
+    "kernel_cache_folder", "launch", "launch_bands", "load_module", "run_bands", "start_warp", "thread_count",
+    "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -54,7 +56,7 @@ BAND = 4096
 
 _start_lock = threading.Lock()
 _started = False
-_load_lock = threading.Lock()
+_load_lock = threading.RLock()
 _loaded: set[tuple[str, str]] = set()
 _pool: ThreadPoolExecutor | None = None
 _threads = 0
@@ -226,6 +228,11 @@ def block_size(module_name: str, device: str) -> int:
     return 1 if device == "cpu" else BLOCK_SIZES.get(module_name.rpartition(".")[2], DEFAULT_BLOCK)
 
 
+def host_array(values: np.ndarray, dtype: type) -> wp.array:
+    """Return a Warp array in the host's memory that shares contiguous values."""
+    return wp.array(values, dtype=dtype, device="cpu", copy=False)
+
+
 def load_module(name: str, device: str) -> bool:
     """Build or load a kernel module for a device, on the CPU one at a time: concurrent first loads race in Warp there.
 
@@ -249,8 +256,7 @@ def _load(kernel: wp.Kernel, device: str) -> None:
     key = kernel.module.name, device
     if key not in _loaded:
         with _load_lock:
-            kernel.module.load(wp.get_device(device), block_size(kernel.module.name, device))
-            _loaded.add(key)
+            load_module(*key)
 
 
 def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:

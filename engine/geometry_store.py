@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.flatten import write_corners
-from .device import launch_bands
+from .device import host_array, launch_bands
 from .scene import Key, MeshData
 from .volume_data import VolumeData
 
@@ -114,11 +114,6 @@ def used_slots(slots: np.ndarray) -> np.ndarray:
     if len(slots) and not slots.any():
         return np.zeros(1, slots.dtype)
     return np.unique(slots)
-
-
-def host_array(values: np.ndarray, dtype: type) -> wp.array:
-    """Return an array in the host's memory that shares contiguous values."""
-    return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 
 class GeometryStore:

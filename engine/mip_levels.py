@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import mip_levels as kernels
-from .device import is_loaded, launch
+from .device import host_array, is_loaded, launch
 
 __all__ = ["can_halve", "can_widen", "halve", "widen"]
 
@@ -31,8 +31,8 @@ def can_widen(pixels: np.ndarray) -> bool:
 def widen(pixels: np.ndarray) -> np.ndarray:
     """Return pixels, uint8 [H, W, 3], with an alpha of 1: [H, W, 4]; see `can_widen`."""
     texels = np.empty((*pixels.shape[:2], 4), np.uint8)
-    launch(kernels.widen_bytes, pixels.size // 3, [_shared(pixels.reshape(-1, 3), wp.vec3ub)],
-           [_shared(texels.reshape(-1, 4), wp.vec4ub)], "cpu")
+    launch(kernels.widen_bytes, pixels.size // 3, [host_array(pixels.reshape(-1, 3), wp.vec3ub)],
+           [host_array(texels.reshape(-1, 4), wp.vec4ub)], "cpu")
     return texels
 
 
@@ -52,13 +52,10 @@ def halve(
         shapes.append((shapes[-1][0] // 2, shapes[-1][1] // 2))
     ends = np.cumsum([height * width for height, width in shapes[1:]]).tolist()
     linear, texels = np.empty((ends[-1], 4), np.uint16), np.empty((ends[-1], 4), np.uint8)
+    tables = [host_array(decode, wp.uint16), host_array(encode, wp.uint8)]
     launch(kernels.build_levels, 1, [
-        rgba.shape[1], rgba.shape[0], len(ends), int(srgb), _shared(decode, wp.uint16), _shared(encode, wp.uint8),
-        _shared(rgba.reshape(-1, 4), wp.vec4ub)], [_shared(linear, wp.vec4us), _shared(texels, wp.vec4ub)], "cpu")
+        rgba.shape[1], rgba.shape[0], len(ends), int(srgb), *tables, host_array(rgba.reshape(-1, 4), wp.vec4ub)],
+        [host_array(linear, wp.vec4us), host_array(texels, wp.vec4ub)], "cpu")
     starts = [0, *ends[:-1]]
     levels = [texels[start:end].reshape(*shape, 4) for start, end, shape in zip(starts, ends, shapes[1:], strict=True)]
     return linear[starts[-1]:].reshape(*shapes[-1], 4), levels
-
-
-def _shared(values: np.ndarray, dtype: type) -> wp.array:
-    return wp.array(values, dtype=dtype, device="cpu", copy=False)

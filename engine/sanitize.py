@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.mesh_checks import find_defects
-from .device import is_loaded, launch, start_warp
+from .device import host_array, is_loaded, launch
 from .report import Report, ReportKind
 from .scene import MeshData
 
@@ -81,7 +81,7 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
 
 def _all_near(positions: np.ndarray) -> bool:
     """Tell whether all coordinates are within the limit, those of vertices that no triangle has, too."""
-    # NaN makes the comparisons false.
+    # NaN makes the comparisons false, infinity too.
     return not len(positions) or bool(
         positions.max() <= COORDINATE_LIMIT and positions.min() >= -COORDINATE_LIMIT)
 
@@ -92,14 +92,12 @@ def has_defects(mesh: MeshData) -> bool:
         return True
     if not len(mesh.triangles) or not len(mesh.positions):
         return len(mesh.triangles) > 0
-    start_warp()
     found = np.zeros(1, np.int32)
     arrays = [(mesh.positions, wp.vec3), (mesh.triangles, wp.vec3i), (mesh.material_slots, int),
               (mesh.corner_normals.reshape(-1, 3), wp.vec3)]
     launch(find_defects, len(mesh.triangles), [
-        *(wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False) for values, kind in arrays),
-        COORDINATE_LIMIT, _SLOT_MAX, _NORMAL_LENGTH_SQUARED_MIN],
-        [wp.array(found, dtype=int, device="cpu", copy=False)], "cpu")
+        *(host_array(np.ascontiguousarray(values), kind) for values, kind in arrays),
+        COORDINATE_LIMIT, _SLOT_MAX, _NORMAL_LENGTH_SQUARED_MIN], [host_array(found, int)], "cpu")
     return bool(found[0])
 
 
@@ -137,8 +135,7 @@ def _classify_triangles(positions: np.ndarray, triangles: np.ndarray) -> tuple[n
     if unsigned.max() >= len(positions):
         in_range = (unsigned < len(positions)).all(axis=1)
         usable = np.where(in_range[:, None], triangles, 0)
-    # NaN makes the comparison false, infinity too.
-    if not np.abs(positions).max() <= COORDINATE_LIMIT:
+    if not _all_near(positions):
         vertex_finite = np.isfinite(positions).all(axis=1)
         vertex_near = ~(np.abs(positions) > COORDINATE_LIMIT).any(axis=1)
         finite = vertex_finite[usable].all(axis=1)

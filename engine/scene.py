@@ -376,11 +376,11 @@ class SceneDelta:
     """New or changed materials"""
     images: dict[Key, ImageData] = field(default_factory=dict)
     """New or changed images, by the keys that programs use"""
+    loading: ImageLoading | None = None
+    """Has begun to read some of them"""
     lights: list[LightData] | None = None
     world: WorldData | None = None
     """None: unchanged; a world that Blender lacks is a black WorldData"""
-    loading: ImageLoading | None = None
-    """Has begun to read some of them"""
     luminance_weights: tuple[float, float, float] = (0.2126729, 0.7151522, 0.0721750)
     """Of the working space"""
     from_xyz: tuple[tuple[float, float, float], ...] = TO_REC709

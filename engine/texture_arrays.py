@@ -16,6 +16,7 @@ import warp as wp
 
 from ..kernels.texture import TEXELS_BYTE, TEXELS_FLOAT, TEXELS_HALF, TEXELS_SHORT
 from ..kernels.types import TextureInfo, Textures
+from .device import host_array
 from .errors import OutOfDeviceMemory
 from .texels import TEXEL_BYTES, Texels
 from .texture_budget import TextureSize
@@ -143,7 +144,7 @@ class TextureArrays:
         for level in texels.levels:
             flat = level.reshape(-1, 4)
             flat = flat.view(np.uint32).ravel() if texels.format == TEXELS_BYTE else flat
-            wp.copy(array, wp.array(flat, dtype=dtype, device="cpu", copy=False), dest_offset=start, count=len(flat))
+            wp.copy(array, host_array(flat, dtype), dest_offset=start, count=len(flat))
             start += len(flat)
         height, width = texels.levels[0].shape[:2]
         levels = min(len(texels.levels), texels.levels_max or len(texels.levels))

@@ -9,6 +9,8 @@ they arise, so children come before parents, and by prefix sums, so that the tre
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -23,8 +25,8 @@ EXTENT_BOXES = wp.constant(64)
 
 
 @wp.func
-def half_area(size: wp.vec3) -> float:
-    """Return half the surface of a box."""
+def half_area(size: Any):
+    """Return half the surface of a box, of single or double precision as its size (vec3, vec3d) is."""
     return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
 
 
@@ -110,10 +112,7 @@ def measure_areas(
 ):
     """Write half the surface of each box; 0 of those that are not finite."""
     i = wp.tid()
-    low = wp.vec3d(lower[i])
-    high = wp.vec3d(upper[i])
-    size = high - low
-    area = size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+    area = half_area(wp.vec3d(upper[i]) - wp.vec3d(lower[i]))
     if not wp.isfinite(area):
         area = wp.float64(0.0)
     areas_out[i] = area

@@ -13,6 +13,7 @@ from .camera import CameraRay
 from .gbuffer import SURFACE_BACKFACING, SURFACE_EMITS, GBuffer, SurfaceMaterial, store_material
 from .gbuffer_rays import PrimaryHits
 from .geometry_math import (
+    finite_or_zero,
     is_finite3,
     max_component,
     mean_component,
@@ -41,14 +42,6 @@ FILTER_VARIANCE = wp.constant(0.02)
 WIDENING_MAX = wp.constant(0.18)
 # A footprint seen more aslant than this grows no further.
 COSINE_MIN = wp.constant(0.1)
-
-
-@wp.func
-def finite_or_zero(v: wp.vec3) -> wp.vec3:
-    """Return v without negative components, 0 where one is not finite."""
-    if is_finite3(v):
-        return wp.max(v, wp.vec3(0.0, 0.0, 0.0))
-    return wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func

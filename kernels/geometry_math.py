@@ -50,6 +50,14 @@ def is_finite3(v: wp.vec3) -> bool:
 
 
 @wp.func
+def finite_or_zero(v: wp.vec3) -> wp.vec3:
+    """Return v without negative components, 0 where one is not finite."""
+    if is_finite3(v):
+        return wp.max(v, wp.vec3(0.0, 0.0, 0.0))
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
 def normalize_or(v: wp.vec3, fallback: wp.vec3) -> wp.vec3:
     """Return v / |v|, or `fallback` where v is too short to have a direction."""
     length = wp.length(v)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3
-
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
@@ -23,7 +21,7 @@ def is_near(point: wp.vec3, limit: float) -> bool:
 def is_normal(normal: wp.vec3, least: float) -> bool:
     """Return whether a vector is finite, and longer than the root of `least`."""
     squared = wp.dot(normal, normal)
-    return squared > least and is_finite3(normal) and wp.isfinite(squared)
+    return squared > least and wp.isfinite(squared)
 
 
 @wp.kernel

@@ -6,18 +6,11 @@ from __future__ import annotations
 import warp as wp
 
 from .environment_split import excess_radiance
-from .geometry_math import is_finite3, luminance
+from .environment_table import equirect_direction
+from .geometry_math import finite_or_zero, luminance, max_component
+from .packing import rgb
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-
-@wp.func
-def clean_radiance(value: wp.vec4) -> wp.vec3:
-    """Return radiance that is finite and not negative."""
-    radiance = wp.vec3(value[0], value[1], value[2])
-    if not is_finite3(radiance):
-        return wp.vec3(0.0, 0.0, 0.0)
-    return wp.max(radiance, wp.vec3(0.0, 0.0, 0.0))
 
 
 @wp.kernel
@@ -41,9 +34,9 @@ def aim_at_texels(
     i = start + wp.tid()
     texel = texels[i / (points * points)]
     place = i % (points * points)
-    phi = 2.0 * wp.pi * (float(texel % width) + (float(place % points) + 0.5) / float(points)) / float(width)
-    theta = wp.pi * (float(texel / width) + (float(place / points) + 0.5) / float(points)) / float(height)
-    directions_out[i - first] = wp.vec3(wp.sin(theta) * wp.cos(phi), wp.sin(theta) * wp.sin(phi), wp.cos(theta))
+    x = float(texel % width) + (float(place % points) + 0.5) / float(points)
+    y = float(texel / width) + (float(place / points) + 0.5) / float(points)
+    directions_out[i - first] = equirect_direction(x / float(width), y / float(height))
 
 
 @wp.kernel
@@ -60,8 +53,7 @@ def measure_texels(
     count = points * points
     total = float(0.0)
     for k in range(count):
-        value = clean_radiance(radiance[i * count + k])
-        total += wp.max(value[0], wp.max(value[1], value[2]))
+        total += max_component(finite_or_zero(rgb(radiance[i * count + k])))
     peaks_out[i] = total / float(count)
 
 
@@ -91,7 +83,7 @@ def cut_texels(
     top = points
     bottom = int(-1)
     for k in range(count):
-        value = clean_radiance(radiance[i * count + k])
+        value = finite_or_zero(rgb(radiance[i * count + k]))
         brightness = luminance(value, weights)
         if brightness > threshold:
             excess += brightness - threshold

@@ -197,8 +197,8 @@ class SceneExtractor:
             self.counts.instances = len(gathered.rows)
             self._extract_materials(delta, gathered, changes, images, callbacks)
         self._extract_world(delta, depsgraph, changes, images)
-        if performance is not None and images.started:
-            delta.loading = ImageLoading(images.started, performance)
+        if performance is not None and (started := images.started):
+            delta.loading = ImageLoading(started, performance)
         if walk:
             of_mesh, kept = self._extract_meshes(delta, gathered, changes, callbacks)
             lamps = self._extract_lights(gathered, changes, images)
