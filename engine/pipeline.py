@@ -282,8 +282,8 @@ class Pipeline:
         direct = self.direct.record(
             graph, parity, kernels_scene, views, surfaces, before, reprojection, self.split,
             filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
-            lean_layers=scene.material_table.lean.transparency,
-            shaped=scene.material_table.reflectors.shaped, fog=fog)
+            lean_layers=scene.material_table.lean.transparency, shaped=scene.material_table.reflectors.shaped,
+            fog=fog, lengths=self.direct_denoise.history.previous(parity).length)
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
             return self.direct_denoise.record(

@@ -265,8 +265,8 @@ class DirectLightSettings:
     temporal_reuse: int = setting(
         0, "Frames' worth of candidates taken over from the frame before, if a scene has more lights than that: less "
         "noise in one frame for some time, but noise that moves in patches: 0 is nearer to the truth", low=0, high=64)
-    half_rate: bool = setting(
-        True, "Trace every other pixel's shadow ray while something moves: half of them, softer shadows in motion")
+    half_rate: bool = setting(True, "Trace every other pixel's shadow ray while something moves, in pictures of more "
+        "than a million pixels: half of them, softer shadows in motion and more noise")
     clear_glass: bool = setting(
         True, "Let light go on behind clear glass in straight lines: lights what is behind windows and in cases, for "
         "some time where there is glass. Off: glass casts full shadows until path tracing takes over")
@@ -310,7 +310,7 @@ class DenoiserSettings:
         3, "Passes of the edge-stopping filter on direct light while it is new and from wide lamps, one after that "
         "(0: none): each doubles its reach, for less noise, blurred shadows and some time", low=0, high=6)
     direct_history: int = setting(
-        32, "Most frames averaged in direct light while something moves: more has less noise and shadows that lag "
+        16, "Most frames averaged in direct light while something moves: more has less noise and shadows that lag "
         "more, at no cost", low=1, high=1024, unit="frames")
     diffuse_history: int = setting(
         64, "Most frames averaged in indirect light while something moves: more has less noise and lags more, at no "

@@ -15,6 +15,7 @@ from .geometry_math import is_finite3
 from .long_mean import (
     ALL_TAPS,
     EDIT_FRAMES,
+    SMOOTH,
     TAP_MINIMUM,
     gather_mean,
     history_cap,
@@ -135,7 +136,7 @@ def gather_diffuse(
         scale = 1.0 / total
         m = with_state(m, state * scale)
         wide = complete and surrounded(gbuffer, place, width, height)
-        m.irradiance = gather_mean(history.irradiance, place, weights * scale, complete, wide, width, height)
+        m.irradiance = gather_mean(history.irradiance, place, weights * scale, complete, wide, SMOOTH, width, height)
     return m
 
 

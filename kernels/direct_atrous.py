@@ -18,7 +18,6 @@ from .filter_weights import (
     PixelPlane,
     brightness,
     inside,
-    inverse_root,
     pixel_plane,
     roughness_weight,
     sharp_normal_weight,
@@ -27,6 +26,7 @@ from .filter_weights import (
     unit_normal,
 )
 from .gbuffer import GBuffer
+from .geometry_math import sqr
 from .long_mean import pack_mean
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
@@ -36,8 +36,9 @@ from .wide_loads import load_view
 # Fast: weights need no division that is exact to the last bit.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
-# Standard deviations of a difference that still counts as noise (SVGF's sigma_l).
-DEVIATIONS = wp.constant(4.0)
+# Standard deviation of the weight's Gaussian, in those of a difference that is noise (SVGF's sigma_l, of a Gaussian:
+# the published exponential blurs the edges of shadows more for as little noise).
+DEVIATIONS = wp.constant(1.75)
 # Over which changes are found: a pixel and its neighbours.
 PIXELS = wp.constant(5.0)
 # Relative difference of short and long mean that is always taken for noise.
@@ -104,8 +105,8 @@ def noise_weight(a: float, a_variance: float, b: float, b_error: float) -> float
     """
     # The smallest width: a half-float's rounding.
     rounding = ROUNDING * wp.min(a, b) + 1.0e-7
-    width = (a_variance + b_error * b_error) * (DEVIATIONS * DEVIATIONS) + rounding * rounding
-    return wp.exp(wp.abs(a - b) * (-1.0 * inverse_root(width)))
+    width = (a_variance + b_error * b_error) * (2.0 * DEVIATIONS * DEVIATIONS) + rounding * rounding
+    return wp.exp(-sqr(a - b) / width)
 
 
 @wp.func

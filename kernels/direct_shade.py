@@ -3,7 +3,8 @@
 
 A pixel without a sample of its own takes that of a neighbour on the same surface: light, weight and shadow are the
 neighbour's, but it is replayed for the pixel's own surface, so that normals, textures and reflections keep the full
-resolution. Where no neighbour shows the same surface the pixel says that it has no sample (w = 0).
+resolution. Where no neighbour shows the same surface the pixel says that it has no sample (w = 0). So it does where its
+mean over the frames before is worth more: what neighbours lend blurs the edges of shadows.
 """
 
 from __future__ import annotations
@@ -34,18 +35,22 @@ from .gbuffer import (
 from .geometry_math import max_component, normalize_or, transform_normal
 from .light_candidate import replay
 from .light_linking import kinds_lit_at, same_links
+from .long_mean import ALL_TAPS, EDIT_FRAMES, nearest_tap
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .paths import Paths
+from .reprojection import Reprojection, known_taps, tap_pixel
 from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
-from .view import View, pixel_footprint
+from .view import MOVED_FRAMES, View, pixel_footprint
 from .wide_loads import interpolated_normal, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Cosine between the normals of neighbours that may lend each other their samples.
 NEIGHBOUR_COSINE = wp.constant(0.9)
+# Frames in a pixel's mean from which on neighbours lend it nothing.
+KNOWN_FRAMES = wp.constant(4.0)
 
 
 @wp.func
@@ -95,6 +100,21 @@ def choose_lender(
 
 
 @wp.func
+def knows_its_light(
+    view: View, options: DirectOptions, reprojection: Reprojection, lengths: wp.array[wp.float16], pixel: int,
+) -> bool:
+    """Return whether the mean of frames before does for a pixel: of the same surface, and nothing changes."""
+    if lengths.shape[0] == 0 or view.restart == 1:
+        return False
+    if view.light_age < EDIT_FRAMES or view.moved_age < MOVED_FRAMES:
+        return False
+    if int(known_taps(reprojection, pixel)) != ALL_TAPS:
+        return False
+    position = reprojection.position[pixel]
+    return float(lengths[tap_pixel(position, nearest_tap(position), options.width)]) >= KNOWN_FRAMES
+
+
+@wp.func
 def smooth_normal(scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) -> wp.vec3:
     """Return the interpolated normal of a pixel's surface, without normal map or bump, as surface_point has it."""
     hit = gbuffer.hit[pixel]
@@ -133,10 +153,15 @@ def shade_direct(
     reservoirs: Reservoirs,
     lent: wp.array[float],
     rays: Paths,
+    reprojection: Reprojection,
+    lengths: wp.array[wp.float16],
     # Out:
     light_out: PackedLight,
 ):
-    """Write each pixel's direct light, without colours, exposed; own samples' light is there but for its shadow."""
+    """Write each pixel's direct light, without colours, exposed; own samples' light is there but for its shadow.
+
+    `lengths` is DirectHistory.length of the frame before; empty: no mean is kept.
+    """
     slot = first + wp.tid()
     view = views[0]
     pixel = pixel_of_slot(view, options, slot)
@@ -148,7 +173,9 @@ def shade_direct(
     light = LightTerms()
     sampled = float(1.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
-    if has_surface(surface):
+    if has_surface(surface) and knows_its_light(view, options, reprojection, lengths, pixel):
+        sampled = 0.0
+    elif has_surface(surface):
         q = choose_lender(scene, view, options, gbuffer, surface, pixel)
         if q < 0:
             sampled = 0.0

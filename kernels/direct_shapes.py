@@ -111,6 +111,8 @@ def shape_direct(
     weight = float(0.0)
     if has_sample(view, options, slot):
         weight = load_reservoir(reservoirs, pixel).weight
+    elif unpack_halves(light_out.diffuse[pixel])[3] == 0.0:
+        return
     else:
         source = choose_lender(scene, view, options, gbuffer, surface, pixel)
         if source < 0:

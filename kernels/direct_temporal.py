@@ -27,6 +27,7 @@ from .geometry_math import is_finite3
 from .long_mean import (
     ALL_TAPS,
     EDIT_FRAMES,
+    SHARP,
     TAP_MINIMUM,
     gather_mean,
     history_cap,
@@ -52,6 +53,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 FAST_FRAMES = wp.constant(5.0)
 # Frames below which the deviation is estimated from the neighbourhood (SVGF, section 4.2).
 SPATIAL_FRAMES = wp.constant(4.0)
+# Most frames in the mean of specular light while something moves: highlights are elsewhere for each view.
+SPECULAR_FRAMES = wp.constant(6.0)
 # What a mean's length keeps of itself in a frame without a sample after an edit: the next sample makes up for it.
 SKIPPED_SHARE = wp.constant(0.25)
 # Frames that a mean counts for once a sudden change has been added to it (direct_change.py).
@@ -171,8 +174,8 @@ def gather_direct(
         m.length = wp.dot(wp.vec4(
             wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2]), wp.abs(lengths[3])), weights) * scale
         wide = complete and surrounded(gbuffer, place, width, height)
-        m.diffuse = gather_mean(history.diffuse, place, weights * scale, complete, wide, width, height)
-        m.specular = gather_mean(history.specular, place, weights * scale, complete, wide, width, height)
+        m.diffuse = gather_mean(history.diffuse, place, weights * scale, complete, wide, SHARP, width, height)
+        m.specular = gather_mean(history.specular, place, weights * scale, complete, wide, SHARP, width, height)
     return m
 
 
@@ -248,8 +251,10 @@ def updated_deviation(old: float, change: float, blend: float) -> float:
 
 
 @wp.func
-def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, albedo: wp.vec2, cap: float) -> DirectMean:
-    """Return the means after one more sample, of such albedos; at most `cap` frames keep their weight."""
+def add_sample(
+    m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, albedo: wp.vec2, cap: float, specular_cap: float,
+) -> DirectMean:
+    """Return the means after one more sample, of such albedos; at most so many frames keep their weight."""
     out = m
     out.length = wp.min(m.length + 1.0, cap)
     blend = 1.0 / out.length
@@ -268,7 +273,7 @@ def add_sample(m: DirectMean, diffuse: wp.vec3, specular: wp.vec3, albedo: wp.ve
     out.moments[2] = wp.lerp(m.moments[2], d, wp.min(fast * weight_d, 1.0))
     out.moments[3] = wp.lerp(m.moments[3], s, wp.min(fast * weight_s, 1.0))
     out.diffuse = wp.lerp(m.diffuse, diffuse, wp.min(blend * weight_d, 1.0))
-    out.specular = wp.lerp(m.specular, specular, wp.min(blend * weight_s, 1.0))
+    out.specular = wp.lerp(m.specular, specular, wp.min(wp.max(blend, 1.0 / specular_cap) * weight_s, 1.0))
     return out
 
 
@@ -327,6 +332,7 @@ def accumulate_direct(
     """
     pixel = first + wp.tid()
     view = load_view(views)
+    specular_frames = SPECULAR_FRAMES + float(view.rest)
     m = empty_mean()
     # Read before it is known whether there is a surface: they wait for memory together.
     position = reprojection.position[pixel]
@@ -346,7 +352,9 @@ def accumulate_direct(
         if has_sample(d, s):
             zero = wp.vec3(0.0, 0.0, 0.0)
             cap = history_cap(view.rest, view.light_age, frames)
-            m = add_sample(m, wp.max(rgb(d), zero), wp.max(rgb(s), zero), albedos(gbuffer, pixel), cap)
+            m = add_sample(
+                m, wp.max(rgb(d), zero), wp.max(rgb(s), zero), albedos(gbuffer, pixel), cap,
+                wp.min(cap, specular_frames))
             if m.length < SPATIAL_FRAMES:
                 around = spatial_deviation(views, gbuffer, width, height, pixel, diffuse, specular)
                 if m.changed == 0:

@@ -14,6 +14,7 @@ from .geometry_math import max_component
 from .long_mean import (
     ALL_TAPS,
     ON_CENTRE,
+    SMOOTH,
     TAP_MINIMUM,
     gather_mean,
     nearest_tap,
@@ -145,7 +146,7 @@ def gather_reflection(
         m = with_reflection_state(m, state * scale)
         m.changed = wp.where(changed > 0.25 * total, 1, 0)
         wide = complete and surrounded(gbuffer, place, width, height)
-        m.light = gather_mean(history.light, place, weights * scale, complete, wide, width, height)
+        m.light = gather_mean(history.light, place, weights * scale, complete, wide, SMOOTH, width, height)
         m.length = m.length * wp.lerp(1.0, wp.min(total, 1.0), strict)
     return m
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames of the G-buffer and the direct light alone, for tests: what they give on average, as a picture."""
 
+import dataclasses
+
 import numpy as np
 import warp as wp
 from burnish.engine.device import choose_device
@@ -55,6 +57,8 @@ class Frames:
         self.motion = MotionTracker(self.device)
         self.gbuffer = GBufferPass(self.device)
         self.direct = DirectLightPass(self.device, DirectLightSettings(**settings), reflections)
+        self.direct.half_rate_pixels = 0  # small pictures as large ones
+        self.lengths = wp.zeros(size * size, dtype=wp.float16, device=self.device)
         for each in (self.gbuffer, self.direct):
             each.resize(size, size)
         self.split = split_environment(self.scene.scene, self.device)
@@ -77,16 +81,23 @@ class Frames:
             self.light = self.direct.record(
                 graph, parity, scene, self.views.array, current, self.gbuffer.previous(parity),
                 self.gbuffer.reprojection, self.split, filtered=filtered, textured=self.scene.emitters.textured,
-                local_power=local_power(self.scene), lean_layers=self.scene.material_table.lean.transparency)
+                local_power=local_power(self.scene), lean_layers=self.scene.material_table.lean.transparency,
+                lengths=self.lengths)
             if debug:
                 self.direct.record_debug(graph, parity, debug, self.picture)
             self.graphs.append(graph)
 
-    def frame(self, moving=True):
-        """Render one frame; `moving`: as if something moved, so that nothing counts as at rest."""
-        row = frame_row(self.camera, self.size, self.size, (0, 0, self.size, self.size), 0, self.scene.origin)
+    def frame(self, moving=True, turning=False):
+        """Render one frame; `moving`: as if something moved, so that nothing counts as at rest.
+
+        With `turning` it is the camera alone; it stays where it is.
+        """
+        camera = self.camera
+        if turning:
+            camera = dataclasses.replace(camera, clip_end=camera.clip_end + self.views.frame % 2)
+        row = frame_row(camera, self.size, self.size, (0, 0, self.size, self.size), 0, self.scene.origin)
         self.views.advance(
-            row, moved=moving, lit=False, exposure=self.exposure, transparent=False,
+            row, moved=moving and not turning, lit=False, exposure=self.exposure, transparent=False,
             filter_quantiles=self.quantiles)
         self.graphs[self.views.parity].replay()
 

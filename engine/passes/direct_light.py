@@ -37,6 +37,8 @@ from .layer_rays import record_shadows
 
 __all__ = ["DirectLightPass", "has_lights"]
 
+HALF_RATE_PIXELS = 1_000_000
+"""Pictures of no more have a shadow ray for each pixel in every frame: they are coarser, and it costs little"""
 DEBUG_CHANNELS = {
     "direct.diffuse": direct_debug.SHOW_DIFFUSE,
     "direct.specular": direct_debug.SHOW_SPECULAR,
@@ -83,6 +85,7 @@ class DirectLightPass:
         self.device = device
         self.settings = settings
         self.reflections = reflections
+        self.half_rate_pixels = HALF_RATE_PIXELS
         self.width = self.height = 0
 
     def resize(self, width: int, height: int) -> None:
@@ -99,6 +102,7 @@ class DirectLightPass:
         self._packed.diffuse = self.light.diffuse.view(wp.uint64)
         self._packed.specular = self.light.specular.view(wp.uint64)
         self._emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
+        self._no_lengths = wp.empty(0, dtype=wp.float16, device=self.device)
         self._rays_for: tuple[bool, bool] | None = None
         self._make_rays(filtered=False, programs=False)
 
@@ -139,6 +143,7 @@ class DirectLightPass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
         textured: bool, local_power: float, lean_layers: bool = False, shaped: bool = False, fog: Fog | None = None,
+        lengths: wp.array | None = None,
     ) -> DirectLight:
         """Add the launches of a frame of one parity; return its light, valid until the next frame.
 
@@ -157,6 +162,7 @@ class DirectLightPass:
             lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
             shaped: Whether there are materials that direct_shapes.py has to ask (Reflectors.shaped).
             fog: What is between surfaces and lights; None: nothing.
+            lengths: DirectHistory.length of the frame before; None: no means over frames are kept.
         """
         self._views = views
         with graph.section("Direct light"):
@@ -183,11 +189,12 @@ class DirectLightPass:
                 shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
-            for kernel in (direct_shade.shade_direct, *((direct_shapes.shape_direct,) if shaped else ())):
-                graph.launch(
-                    kernel, self.slots,
-                    [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
-                     self.rays], [self._packed])
+            lengths = self._no_lengths if lengths is None else lengths
+            chosen = [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
+                      self.rays]
+            graph.launch(direct_shade.shade_direct, self.slots, [*chosen, reprojection, lengths], [self._packed])
+            if shaped:
+                graph.launch(direct_shapes.shape_direct, self.slots, chosen, [self._packed])
         return self.light
 
     def _record_samples(
@@ -227,7 +234,7 @@ class DirectLightPass:
         options.width, options.height = self.width, self.height
         options.candidates = max(min(self.settings.candidates, lights), 1)
         options.reuse = self.settings.temporal_reuse if lights > self.settings.candidates else 0
-        options.half_rate = int(self.settings.half_rate)
+        options.half_rate = int(self.settings.half_rate and self.width * self.height > self.half_rate_pixels)
         options.full = int(any(self._rays_for))
         options.rays = int(self.reflections is not None)
         if self.reflections is not None:

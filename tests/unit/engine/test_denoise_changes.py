@@ -87,7 +87,7 @@ def test_shadow_of_a_mover_comes_and_goes_at_once(before, now, deviation):
 def test_noise_is_no_shadow_of_a_mover(deviation):
     """Keep averaging where things move elsewhere: noise alone cuts few means short."""
     rng = np.random.default_rng(12)
-    frames = Frames(DirectDenoisePass)
+    frames = Frames(DirectDenoisePass, direct_history=32)
     for frame in range(64):
         weight = (np.indices((SIZE, SIZE)).sum(0) + frame) % 2
         frames.show(rng.lognormal(-0.5 * deviation**2, deviation, (SIZE, SIZE)), weight=weight, moved_age=0)
@@ -97,7 +97,7 @@ def test_noise_is_no_shadow_of_a_mover(deviation):
 @BOTH
 def test_one_bright_frame_is_no_change(make):
     """Keep the mean's length through a single outlier, and most of the outlier out of the picture."""
-    frames = Frames(make)
+    frames = Frames(make, direct_history=32)
     for _ in range(40):
         frames.show(0.5)
     spike = np.full((SIZE, SIZE), 0.5)
@@ -139,8 +139,10 @@ def test_pan_keeps_light(make, shift):
         result = frames.show(wave(frame))[..., 0]
     inside = slice(20, 44)
     expected, found = wave(39)[inside, inside] - 1.0, result[inside, inside] - 1.0
-    assert frames.lengths()[inside, inside].mean() > 20
-    assert (expected * found).sum() / (expected**2).sum() == pytest.approx(1.0, abs=0.04)
+    # Direct light is resampled more sharply and averaged over fewer frames.
+    assert frames.lengths()[inside, inside].mean() > (10 if make is DirectDenoisePass else 20)
+    gain = 0.07 if make is DirectDenoisePass else 0.04
+    assert (expected * found).sum() / (expected**2).sum() == pytest.approx(1.0, abs=gain)
     assert np.abs(expected - found).max() < 0.05
 
 

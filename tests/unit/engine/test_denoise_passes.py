@@ -112,7 +112,7 @@ def test_moving_shadow_leaves_no_trail():
 def test_light_goes_with_the_albedo_it_falls_on(shift):
     """Keep the mean of albedo times light where they go together from frame to frame, as threads of a cloth do."""
     rng = np.random.default_rng(17)
-    frames = Frames()
+    frames = Frames(direct_history=32)
     frames.move(shift)
     shown = {}
     for _ in range(128):

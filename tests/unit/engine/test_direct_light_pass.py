@@ -277,6 +277,40 @@ def test_pixels_alone_have_no_sample_in_motion():
     assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
 
 
+def own_samples(frames):
+    """Return which pixels of the last frame have a shadow ray of their own at half rate."""
+    y, x = np.mgrid[:frames.size, :frames.size]
+    return (x + y + frames.views.array.numpy()[0]["frame"]) % 2 == 0
+
+
+def test_neighbours_lend_nothing_to_known_pixels():
+    """Leave pixels without a sample to the mean of frames before where there is one, and to neighbours elsewhere."""
+    frames = Frames(lit("sun"), CAMERA)
+    for _ in range(8):
+        frames.frame()
+    assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
+    lengths = np.zeros((frames.size, frames.size))
+    lengths[:, :4] = 8.0
+    lengths[:, 4] = -8.0
+    frames.lengths.assign(lengths.reshape(-1).astype(np.float16))
+    for _ in range(12):  # until nothing has moved for long enough
+        frames.frame(turning=True)
+    w = frames.light.diffuse.numpy()[:, 3].reshape(lengths.shape)
+    # In the last row taps lie off the picture.
+    np.testing.assert_array_equal((w == 1.0)[1:-1], (own_samples(frames) | (lengths <= 0.0))[1:-1])
+
+
+def test_small_pictures_have_all_samples():
+    """Trace a shadow ray for every pixel of a picture below the limit, in motion too."""
+    frames = Frames(lit("sun and point"), CAMERA)
+    frames.direct.half_rate_pixels = frames.size**2
+    frames.record()
+    frames.lengths.fill_(8.0)
+    for _ in range(12):
+        frames.frame(turning=True)
+    assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
+
+
 def test_candidates_and_reuse_follow_the_number_of_lights():
     """Draw no more candidates than there are lights, and look at frames before only where those are too few."""
     for light, count, reuses in (("sun", 1, False), ("sun and point", 3, False), ("emitter", 2, False),
