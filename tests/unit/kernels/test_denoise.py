@@ -32,7 +32,8 @@ def pack_all(colors: wp.array[wp.vec3], out: wp.array[wp.uint64]):
 def gather_all(image: wp.array[wp.uint64], positions: wp.array[wp.vec2], width: int, height: int,
                wide: bool, out: wp.array[wp.vec3]):
     i = wp.tid()
-    out[i] = long_mean.gather_cubic(image, long_mean.place_between(positions[i], width), width, height, wide, long_mean.SMOOTH)
+    place = long_mean.place_between(positions[i], width)
+    out[i] = long_mean.gather_cubic(image, place, width, height, wide, long_mean.SMOOTH)
 
 
 @wp.kernel
