@@ -173,10 +173,10 @@ def shade_direct(
     light = LightTerms()
     sampled = float(1.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
-    if has_surface(surface) and knows_its_light(view, options, reprojection, lengths, pixel):
-        sampled = 0.0
-    elif has_surface(surface):
-        q = choose_lender(scene, view, options, gbuffer, surface, pixel)
+    if has_surface(surface):
+        q = int(-1)
+        if not knows_its_light(view, options, reprojection, lengths, pixel):
+            q = choose_lender(scene, view, options, gbuffer, surface, pixel)
         if q < 0:
             sampled = 0.0
         else:

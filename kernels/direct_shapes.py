@@ -112,11 +112,10 @@ def shape_direct(
     if has_sample(view, options, slot):
         weight = load_reservoir(reservoirs, pixel).weight
     elif unpack_halves(light_out.diffuse[pixel])[3] == 0.0:
+        # shade_direct has found no lender, or asked for none.
         return
     else:
         source = choose_lender(scene, view, options, gbuffer, surface, pixel)
-        if source < 0:
-            return
         weight = lent[source]
     factor = factor_of(options, rays, slot_of_pixel(view, options, source)) * (weight * view.exposure)
     if not max_component(factor) > 0.0:

@@ -261,6 +261,12 @@ def test_rest_converges_faster_than_independent_samples():
     assert many < 0.5 * single / 16
 
 
+def own_samples(frames):
+    """Return which pixels of the last frame have a shadow ray of their own at half rate."""
+    y, x = np.mgrid[:frames.size, :frames.size]
+    return (x + y + frames.views.array.numpy()[0]["frame"]) % 2 == 0
+
+
 def test_pixels_alone_have_no_sample_in_motion():
     """Say that there is no sample (w = 0) where every other pixel has none and no neighbour shows the same surface."""
     # One tile for each pixel, each at another height than its neighbours.
@@ -270,17 +276,9 @@ def test_pixels_alone_have_no_sample_in_motion():
     frames = Frames(delta, scenes.camera_above(height=4.0, half=0.5), temporal_reuse=0)
     frames.frame()
     w = frames.light.diffuse.numpy()[:, 3].reshape(8, 8)
-    x, y = np.meshgrid(np.arange(8), np.arange(8))
-    own = (x + y + frames.views.array.numpy()[0]["frame"]) % 2 == 0
-    np.testing.assert_array_equal(w, own)
+    np.testing.assert_array_equal(w, own_samples(frames))
     frames.frame(moving=False)
     assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
-
-
-def own_samples(frames):
-    """Return which pixels of the last frame have a shadow ray of their own at half rate."""
-    y, x = np.mgrid[:frames.size, :frames.size]
-    return (x + y + frames.views.array.numpy()[0]["frame"]) % 2 == 0
 
 
 def test_neighbours_lend_nothing_to_known_pixels():
