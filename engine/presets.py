@@ -24,6 +24,7 @@ KEPT = frozenset({"denoiser.final_denoise"})
 PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     Preset.DRAFT: MappingProxyType({
         "probes.spawn_tile": 32,
+        "probes.dense_small": False,
         "cache.bounce_share": 0.15,
         "direct_light.candidates": 2,
         "reflections.roughness_traced": 0.2,
@@ -48,6 +49,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     }),
     Preset.PAPER: MappingProxyType({
         "probes.half_rate": False,
+        "probes.dense_small": False,
         "probes.contact_detail": True,
         "probes.energy_exact": False,
         "cache.minimum_cell": 0.1,

@@ -27,6 +27,7 @@ from .passes.reference import FilmBuffers, ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
+from .ray_budget import densified
 from .scene import CameraData
 from .settings import Integrator, RenderSettings
 from .view_data import ViewTracker
@@ -51,14 +52,14 @@ class Realtime:
         self._film: FilmBuffers | None = None
         self._blend = RestBlend(device)
         self._settings: RenderSettings | None = None
-        self._size = (0, 0)
+        self._size = (0, 0, 0)
         self._light_passes: tuple[str, ...] = ()
         self._denoised = False
         self._moved = self._lit = False
         self._blended = False
         self._resolved: wp.array | None = None
 
-    def configure(self, settings: RenderSettings, width: int, height: int, light_passes: tuple[str, ...],
+    def configure(self, settings: RenderSettings, width: int, height: int, lines: int, light_passes: tuple[str, ...],
                   denoised: bool = False) -> None:
         """Allocate for settings and a size [px]; a change of either forgets all history.
 
@@ -66,6 +67,7 @@ class Realtime:
             settings: All settings.
             width: Of the rendered region [px].
             height: Of the rendered region [px].
+            lines: Height of the full frame [px].
             light_passes: Names from LIGHT_PASSES (passes/composite.py) that will be read.
             denoised: Whether the picture is going to be denoised.
         """
@@ -73,18 +75,19 @@ class Realtime:
             self._denoised = denoised
             self._forget_samples()
         old = self._settings
-        if same_frames(settings, old) and (width, height, light_passes) == (*self._size, self._light_passes):
+        size = width, height, lines
+        if same_frames(settings, old) and (size, light_passes) == (self._size, self._light_passes):
             self._settings = settings
             if settings.debug != old.debug:
                 self.pipeline.show(settings.debug.view)
                 # The blend at rest would take the newest frame for the picture that it blends with.
                 self._forget_samples()
             return
-        self._settings, self._size, self._light_passes = settings, (width, height), light_passes
+        self._settings, self._size, self._light_passes = settings, size, light_passes
         self._quantiles = filter_table(settings.film.pixel_filter, settings.film.filter_width)
         self._filter = wp.array(self._quantiles, dtype=float, device=self.device)
         self._film = None
-        self.pipeline.configure(settings, width, height, light_passes)
+        self.pipeline.configure(densified(settings, *size, self.device), width, height, light_passes)
         self._blend.resize(width, height)
         self.restart()
 

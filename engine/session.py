@@ -208,7 +208,7 @@ class Session:
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
                 self._realtime = self._realtime or Realtime(self.device)
-                self._realtime.configure(settings, crop[2], crop[3], light, DENOISED in passes)
+                self._realtime.configure(settings, crop[2], crop[3], height, light, DENOISED in passes)
                 if change & Change.RESTART:
                     self._realtime.note_camera()
             else:

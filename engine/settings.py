@@ -209,6 +209,10 @@ class ProbeSettings:
     half_rate: bool = setting(
         True, "Update every other probe that may wait while something moves: half the probe, bounce and shadow rays, "
         "slightly more noise in motion")
+    dense_small: bool = setting(
+        True, "Give pictures of up to half a million pixels as many rays as a 1080p frame has, on a GPU, which they "
+        "leave idle otherwise: twice as many probes along each side, a reflection ray for each pixel and finer cells, "
+        "less noise and sharper light for half a millisecond a frame")
     contact_detail: bool = setting(
         False, "Find indirect light and shadow between probes from nearby pixels: slightly finer corners and contacts "
         "for a search around every pixel, the dearest pass of all")
@@ -386,15 +390,9 @@ def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
     """Return what `new` asks of a session that ran with `old`; the one place that knows which edits restart."""
     if old is None or new.device != old.device:
         return Change.DEVICE | Change.RESIZE | Change.RESTART
-    change = Change.NONE
-    if (new.sampling.seed, new.sampling.integrator) != (old.sampling.seed, old.sampling.integrator):
-        change |= Change.RESTART
-    if new.light_paths != old.light_paths or new.film != old.film:
-        change |= Change.RESTART
-    realtime = ("probes", "cache", "direct_light", "reflections", "denoiser")
-    if any(getattr(new, name) != getattr(old, name) for name in realtime):
-        change |= Change.RESTART
+    groups = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
     performance = ("texture_budget", "texture_size_limit", "opacity_maps", "deterministic")
-    if any(getattr(new.performance, name) != getattr(old.performance, name) for name in performance):
-        change |= Change.RESTART
-    return change
+    same = (all(getattr(new, name) == getattr(old, name) for name in groups)
+            and all(getattr(new.performance, name) == getattr(old.performance, name) for name in performance)
+            and (new.sampling.seed, new.sampling.integrator) == (old.sampling.seed, old.sampling.integrator))
+    return Change.NONE if same else Change.RESTART

@@ -23,6 +23,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no probe filter": {"probes.filtering": False},
     "no probe rays into reflections": {"probes.specular_rays": False},
     "every probe in every frame": {"probes.half_rate": False},
+    "small pictures not denser": {"probes.dense_small": False},
     "contact detail": {"probes.contact_detail": True},
     "published probe energy": {"probes.energy_exact": False},
     "probes for 32 px": {"probes.spawn_tile": 32},

@@ -29,6 +29,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
+from ..ray_budget import spreading_rays
 from ..settings import CacheSettings
 from ..structures import has_layers
 from ..work_list import WorkList, make_queue, make_work_list
@@ -125,7 +126,7 @@ class RadianceCachePass:
         share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
         self.settled = math.ceil(share * count)
         # Room for as many as there are hits: light spreads faster with them after the start and edits.
-        bounces = count if share > 0.0 else 0
+        bounces = max(self.settled, spreading_rays(count, self.width, self.height)) if share > 0.0 else 0
         if (count, bounces, filtered) == (self.count, self.bounces, self._layers):
             return
         self.count, self.bounces, self._layers = count, bounces, filtered

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many rays frames have by their size: on a GPU small pictures have as many as large ones.
+
+A launch waits there for its longest rays, so that a few ten thousand take nearly as long as ten times as many. On a
+processor each ray costs its share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from ..kernels.hash_grid import SCREEN_LINES
+from ..kernels.probe_types import TILE
+from .settings import ReflectionResolution, RenderSettings
+
+__all__ = ["SMALL_PIXELS", "densified", "spreading_rays"]
+
+SMALL_PIXELS = 1920 * 1080 // 4
+"""Pixels of a small picture at most: with half the distance between probes, and a reflection ray for each pixel instead
+of four, it has no more of either than a 1080p frame"""
+
+SPREADING_RAYS = 1 << 17
+"""Bounce rays of a small picture while light spreads, at most: twice as many would make first frames an eighth longer
+and one or two percent better"""
+
+DENSER = {ReflectionResolution.QUARTER: ReflectionResolution.HALF, ReflectionResolution.HALF: ReflectionResolution.FULL}
+
+
+def densified(settings: RenderSettings, width: int, height: int, lines: int, device: str) -> RenderSettings:
+    """Return the settings that a picture's frames are made with: denser ones for a small picture on a GPU.
+
+    Args:
+        settings: What the user has chosen.
+        width: Of the rendered region [px].
+        height: Of the rendered region [px].
+        lines: Height of the full frame [px].
+        device: Where the kernels run.
+    """
+    probes, cache, reflections = settings.probes, settings.cache, settings.reflections
+    if not probes.dense_small or width * height > SMALL_PIXELS or device == "cpu":
+        return settings
+    # Cells grow by the root of the lines where rays get fewer with them (wanted_size in kernels/hash_grid.py), here not
+    # at all: the scene is seen in as many as at 1080p.
+    shrink = math.sqrt(min(lines / float(SCREEN_LINES), 1.0))
+    return replace(
+        settings,
+        probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))),
+        cache=replace(cache, cell_pixels=cache.cell_pixels * shrink),
+        reflections=replace(reflections, resolution=DENSER.get(reflections.resolution, reflections.resolution)))
+
+
+def spreading_rays(count: int, width: int, height: int) -> int:
+    """Return how many of `count` hits send a ray on while light spreads, in a picture of a size [px]."""
+    return min(count, SPREADING_RAYS) if width * height <= SMALL_PIXELS else count

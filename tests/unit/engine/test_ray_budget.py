@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many rays frames have by their size and device (engine/ray_budget.py)."""
+
+import dataclasses
+
+import pytest
+from burnish.engine import realtime
+from burnish.engine.presets import apply_preset
+from burnish.engine.ray_budget import SMALL_PIXELS, densified, spreading_rays
+from burnish.engine.scene import LightKind
+from burnish.engine.session import Session
+from burnish.engine.settings import (
+    CacheSettings,
+    Integrator,
+    Preset,
+    ProbeSettings,
+    ReflectionResolution,
+    RenderSettings,
+    SamplingSettings,
+)
+
+from tests import scenes
+
+DEFAULTS = RenderSettings()
+FRAMES = dataclasses.replace(
+    scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME), cache=CacheSettings(capacity=14))
+
+
+def test_a_small_picture_has_no_more_rays_than_a_large_one() -> None:
+    """Have as many probes and reflection rays at 960x540 as at 1920x1080, and fewer below."""
+    def rays(width: int, height: int) -> tuple[int, int]:
+        settings = densified(DEFAULTS, width, height, height, "cuda:0")
+        stride = {"full": 1, "half": 2, "quarter": 4}[settings.reflections.resolution]
+        tile = settings.probes.spawn_tile
+        return -(-width // tile) * -(-height // tile), -(-width // stride) * -(-height // stride)
+
+    assert rays(960, 540) == rays(1920, 1080)
+    assert rays(640, 360) < rays(1920, 1080)
+    assert rays(1280, 720) < rays(1920, 1080)
+
+
+def test_small_pictures_have_the_cells_of_large_ones() -> None:
+    """Let a cell be as large in the scene at 360 lines as at 1080: its pixels go with the lines, not their root."""
+    for lines in (90, 360, 540):
+        cells = densified(DEFAULTS, 16 * lines // 9, lines, lines, "cuda:0").cache.cell_pixels
+        on_screen = cells * (lines / 1080) ** 0.5  # as wanted_size in kernels/hash_grid.py
+        assert on_screen / lines == pytest.approx(DEFAULTS.cache.cell_pixels / 1080)
+    # A region of a large frame has the cells of the whole.
+    assert densified(DEFAULTS, 640, 360, 2160, "cuda:0").cache == DEFAULTS.cache
+
+
+@pytest.mark.parametrize(("width", "height", "device", "settings"), [
+    (961, 540, "cuda:0", DEFAULTS),
+    (640, 360, "cpu", DEFAULTS),
+    (640, 360, "cuda:0", apply_preset(DEFAULTS, Preset.PAPER)),
+    (640, 360, "cuda:0", apply_preset(DEFAULTS, Preset.DRAFT)),
+])
+def test_others_are_left_alone(width: int, height: int, device: str, settings: RenderSettings) -> None:
+    """Change nothing for large pictures, on processors, and where the user or a preset wants it so."""
+    assert densified(settings, width, height, height, device) is settings
+
+
+def test_the_finest_settings_stay() -> None:
+    """Know nothing denser than a probe a tile and a ray a pixel."""
+    fine = densified(apply_preset(DEFAULTS, Preset.FINE), 320, 180, 180, "cuda:0")
+    assert (fine.probes.spawn_tile, fine.reflections.resolution) == (8, ReflectionResolution.FULL)
+    odd = dataclasses.replace(DEFAULTS, probes=ProbeSettings(spawn_tile=9))
+    assert densified(odd, 320, 180, 180, "cuda:0").probes.spawn_tile == 8
+
+
+def test_bounce_rays_of_small_pictures_have_a_limit() -> None:
+    """Send a ray on from each hit of a picture that has few, or is large."""
+    assert spreading_rays(57_600, 640, 360) == 57_600
+    assert spreading_rays(230_400, 640, 360) == 1 << 17
+    assert spreading_rays(522_240, 1920, 1080) == 522_240
+    assert spreading_rays(600_000, SMALL_PIXELS, 1) == 1 << 17
+
+
+def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a frame denser as on a GPU: four times the probes and reflection rays, its light within noise the same."""
+    floor = scenes.material("PRINCIPLED", color=0.7, roughness=0.3, metallic=0.5)
+    meshes = {"floor": scenes.quad(3.0), "box": scenes.box(0.3)}
+    objects = [("floor", scenes.place(), "white"), ("box", scenes.place(z=0.3), "white")]
+    lamps = [scenes.lamp(LightKind.POINT, 50.0, scenes.place(1.0, 1.0, 2.0), radius=0.2)]
+    camera = scenes.camera_above(3.0, 1.0, orthographic=False)
+    counts, means = [], []
+    for where in ("cpu", "cuda:0"):
+        monkeypatch.setattr(realtime, "densified", lambda *given, where=where: densified(*given[:-1], where))
+        session = Session(FRAMES)
+        session.update(scenes.delta(meshes, objects, {"white": floor}, lamps, 0.2))
+        session.configure(FRAMES, camera, 64, 48)
+        session.step(8)
+        counts.append(session.counts())
+        means.append(session.read("Combined")[..., :3].mean())
+        session.close()
+    assert counts[1]["probes rays"] == pytest.approx(4 * counts[0]["probes rays"], rel=0.01)
+    assert counts[1]["reflection rays"] == pytest.approx(4 * counts[0]["reflection rays"], rel=0.1)
+    assert means[1] == pytest.approx(means[0], rel=0.02)
