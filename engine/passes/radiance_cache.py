@@ -12,14 +12,7 @@ import math
 import numpy as np
 import warp as wp
 
-from ...kernels import (
-    cache_cells,
-    cache_claim,
-    cache_debug,
-    cache_lights,
-    cache_rays,
-    cache_shade,
-)
+from ...kernels import cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade
 from ...kernels.environment_split import NO_THRESHOLD
 from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
