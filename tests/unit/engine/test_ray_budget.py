@@ -40,11 +40,13 @@ def test_a_small_picture_has_no_more_rays_than_a_large_one() -> None:
 
 
 def test_small_pictures_have_the_cells_of_large_ones() -> None:
-    """Let a cell be as large in the scene at 360 lines as at 1080: its pixels go with the lines, not their root."""
-    for lines in (90, 360, 540):
+    """Let a cell be as large in the scene at 360 lines as at 1080, where it gets as many rays as ever."""
+    for lines in (270, 360, 540):
         cells = densified(DEFAULTS, 16 * lines // 9, lines, lines, "cuda:0").cache.cell_pixels
         on_screen = cells * (lines / 1080) ** 0.5  # as wanted_size in kernels/hash_grid.py
         assert on_screen / lines == pytest.approx(DEFAULTS.cache.cell_pixels / 1080)
+    # Four times the rays are enough for cells half as wide.
+    assert densified(DEFAULTS, 64, 36, 36, "cuda:0").cache.cell_pixels == DEFAULTS.cache.cell_pixels / 2
     # A region of a large frame has the cells of the whole.
     assert densified(DEFAULTS, 640, 360, 2160, "cuda:0").cache == DEFAULTS.cache
 

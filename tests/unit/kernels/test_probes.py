@@ -216,8 +216,9 @@ def test_distances_scale(scale):
     sky = float(probe_rays.MISS_DISTANCE)
     near = np.array([3.0e-3, 0.1, 4.0, 4.0]) * scale
     far = np.array([6.0e-3, 0.1, 12.0, sky / scale]) * scale
-    means, = run(mean_distances, 4, [wp.array(near, dtype=float), wp.array(far, dtype=float), 0.25], [float])
+    ways = [wp.array(x, dtype=float, device="cpu") for x in (near, far)]
+    means, = run(mean_distances, 4, [*ways, 0.25], [float])
     np.testing.assert_allclose(means, np.array([3.428571e-3, 0.1, 4.8, 4.0 / 0.75]) * scale, rtol=1e-5)
-    skies = wp.array([sky], dtype=float)
+    skies = wp.array([sky], dtype=float, device="cpu")
     only, = run(mean_distances, 1, [skies, skies, 0.25], [float])
     assert only[0] == pytest.approx(sky)
