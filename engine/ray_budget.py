@@ -14,19 +14,21 @@ from ..kernels.hash_grid import SCREEN_LINES
 from ..kernels.probe_types import TILE
 from .settings import ReflectionResolution, RenderSettings
 
-__all__ = ["SMALL_PIXELS", "densified", "spreading_rays"]
+__all__ = ["SMALLEST_PIXELS", "SMALL_PIXELS", "densified", "spreading_rays"]
 
 SMALL_PIXELS = 1920 * 1080 // 4
 """Pixels of a small picture at most: with half the distance between probes, and a reflection ray for each pixel instead
 of four, it has no more of either than a 1080p frame"""
+
+SMALLEST_PIXELS = SMALL_PIXELS // 16
+"""Pixels of a small picture at least: icons have so few rays in all that finer cells show single ones"""
 
 SPREADING_RAYS = 1 << 17
 """Bounce rays of a small picture while light spreads, at most: twice as many would make first frames an eighth longer
 and one or two percent better"""
 
 LEAST_SHRINK = 0.5
-"""Width of cells by that in other pictures, at least: then each has as many rays. With fewer rooms lose light, 4 % of a
-white furnace's in pictures of 32 lines"""
+"""Width of cells by that in other pictures, at least: then each has as many rays. With fewer, rooms lose light"""
 
 DENSER = {ReflectionResolution.QUARTER: ReflectionResolution.HALF, ReflectionResolution.HALF: ReflectionResolution.FULL}
 
@@ -42,7 +44,7 @@ def densified(settings: RenderSettings, width: int, height: int, lines: int, dev
         device: Where the kernels run.
     """
     probes, cache, reflections = settings.probes, settings.cache, settings.reflections
-    if not probes.dense_small or width * height > SMALL_PIXELS or device == "cpu":
+    if device == "cpu" or not (probes.dense_small and SMALLEST_PIXELS <= width * height <= SMALL_PIXELS):
         return settings
     # Cells are seen smaller by the root of the lines (wanted_size in kernels/hash_grid.py). With as many rays as 1080p
     # frames they can be as small in the scene as there; with four times as many as before, half as wide at least.
