@@ -266,9 +266,9 @@ def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: s
 
 
 def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, outputs: list) -> None:
-    """Launch a kernel over elements from `first` on, on the CPU in bands on all cores."""
+    """Launch a kernel over elements from `first` on, if any, on the CPU in bands on all cores."""
     device = outputs[0].device
-    size = max(count // thread_count() + 1, BAND) if device.is_cpu else count
+    size = max(count // thread_count() + 1, BAND) if device.is_cpu else max(count, 1)
     run_bands([
         partial(launch, kernel, min(size, first + count - start), [start, *inputs], outputs, device.alias)
         for start in range(first, first + count, size)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from burnish.engine import device
@@ -24,6 +25,21 @@ def test_each_job_runs_once(threads):
         done = []
         device.run_bands(partial(done.append, i) for i in range(count))
         assert sorted(done) == list(range(count))
+
+
+@pytest.mark.parametrize("cuda", [False, True])
+def test_all_elements_have_a_launch(threads, monkeypatch, cuda):
+    """Launch over each element once, on CUDA over all at once, and over none where a mesh has lost all that it had."""
+    launched = []
+    monkeypatch.setattr(device, "launch", lambda kernel, count, inputs, outputs, where: launched.append(
+        (inputs[0], count)))
+    output = SimpleNamespace(device=SimpleNamespace(is_cpu=not cuda, alias="cuda:0" if cuda else "cpu"))
+    for count in (0, 1, 3 * device.BAND + 1):
+        launched.clear()
+        device.launch_bands(None, 7, count, [], [output])
+        ends = [first + many for first, many in sorted(launched)]
+        assert sum(many for _, many in launched) == count and (ends[-1:] or [7]) == [7 + count]
+        assert len(launched) == min(count, 1) or not cuda
 
 
 def test_cores_work_side_by_side(threads):
