@@ -42,6 +42,10 @@ LEAST_SHARE = wp.constant(0.25)
 # Weight below which the sums have no more precision: such pixels look farther.
 LEAST_WEIGHT = wp.constant(1.0e-4)
 
+# Cosine between its normal and that of a probe that a pixel takes light from where no other is near: a wall's probe
+# knows half of what arrives at a sliver of the ceiling, and the harmonics are divided by the share that it sees.
+FARTHEST_COSINE = wp.constant(-0.5)
+
 # Confidence that marks a pixel for fill_gaps.
 UNFILLED = wp.constant(-1.0)
 
@@ -268,7 +272,7 @@ def nearest_tile(grid: ProbeGrid, pool: ProbePool, tiles: ProbeTiles, s: Surface
             # Off the plane counts more than along it: behind an edge lies another room.
             badness = wp.length(offset) + 4.0 * wp.abs(wp.dot(s.geometric_normal, offset)) + 8.0 * cell * (
                 1.0 - cosine)
-            better = there and slot >= 0 and cosine > 0.0 and badness < least
+            better = there and slot >= 0 and cosine > FARTHEST_COSINE and badness < least
             least = wp.where(better, badness, least)
             best = wp.where(better, other, best)
         row = row + 1

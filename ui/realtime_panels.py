@@ -32,7 +32,7 @@ class BURNISH_RENDER_PT_probes(RealtimePanel, Panel):
         """Draw."""
         layout, probes = self.split_layout(), context.scene.burnish.probes
         layout.prop(probes, "spawn_tile")
-        layout.prop(probes, "dense_small")
+        layout.prop(probes, "dense_small", text="Dense Small Pictures")
         layout.prop(probes, "history")
         column = layout.column(heading="Rays")
         column.prop(probes, "guiding")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tests of screen probes under a camera that turns away from the light: what comes into view takes no light along."""
+"""Tests of screen probes where none was before: what comes into view takes no light along, slivers are not black."""
 
 from __future__ import annotations
 
@@ -56,3 +56,22 @@ def test_light_does_not_follow_the_camera(step, frames):
     that trust those around them, or know nothing of how their light lies in its cells.
     """
     assert abs(errors(step, frames)[:, -32:].mean()) < 0.45
+
+
+def test_slivers_take_light_from_what_is_near():
+    """Light a wall of a pixel's width at the picture's edge, which never has a probe of its own, by those of the floor.
+
+    What these don't see, the floor itself, is taken to be as bright as the sky that they see.
+    """
+    edge = 0.48
+    wall = scenes.mesh([[edge, -50, 0], [edge, 50, 0], [edge, 50, 1], [edge, -50, 1]], [[0, 2, 1], [0, 3, 2]])
+    floor = scenes.mesh([[-50, -50, 0], [edge, -50, 0], [edge, 50, 0], [-50, 50, 0]], [[0, 1, 2], [0, 2, 3]])
+    b = ProbeBench(
+        {"floor": floor, "wall": wall}, [0.0, 0.0], scenes.camera_above(3.0, 0.5, orthographic=False),
+        (64, 48), sky=1.0, settings=ProbeSettings(contact_detail=False))
+    for i in range(12):
+        b.frame(moved=i < 6)
+        light, confidence = b.irradiance()
+        sliver = light[confidence == 0.0]
+        assert sliver.size
+        np.testing.assert_allclose(sliver, 1.0, rtol=0.05)
