@@ -98,9 +98,12 @@ class Page:
 
 
 def recipe_settings(recipe: str, options: argparse.Namespace, groups: Groups | None = None) -> RenderSettings:
-    """Return the settings of a recipe with single fields changed; at rest the filtered picture stays."""
+    """Return the settings of a recipe with single fields changed; at rest the filtered picture stays.
+
+    Figures are small, and show as many rays a pixel as large pictures have.
+    """
     settings = apply_preset(settings_for("realtime", options.device), RECIPES[recipe])
-    for name, fields in merged(FILTERED, groups).items():
+    for name, fields in merged({**FILTERED, "probes": {"dense_small": False}}, groups).items():
         values = {key: ReflectionResolution(value) if key == "resolution" else value for key, value in fields.items()}
         settings = dataclasses.replace(settings, **{name: dataclasses.replace(getattr(settings, name), **values)})
     return settings
