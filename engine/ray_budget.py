@@ -14,7 +14,11 @@ from ..kernels.hash_grid import SCREEN_LINES
 from ..kernels.probe_types import TILE
 from .settings import ReflectionResolution, RenderSettings
 
-__all__ = ["SMALLEST_PIXELS", "SMALL_PIXELS", "densified", "spreading_rays"]
+__all__ = ["HALF_RATE_PIXELS", "SMALLEST_PIXELS", "SMALL_PIXELS", "densified", "spreading_rays"]
+
+HALF_RATE_PIXELS = 1_000_000
+"""Pictures of no more have a shadow ray for each pixel in every frame, on any device: they are coarser, and it costs
+little"""
 
 SMALL_PIXELS = 1920 * 1080 // 4
 """Pixels of a small picture at most: with half the distance between probes, and a reflection ray for each pixel instead

@@ -29,7 +29,7 @@ from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .ray_budget import densified
 from .scene import CameraData
-from .settings import Integrator, RenderSettings
+from .settings import FRAME_GROUPS, Integrator, RenderSettings
 from .view_data import ViewTracker
 
 __all__ = ["Realtime", "fog_traced", "settings_for"]
@@ -236,7 +236,7 @@ def fog_traced(media: SceneMedia | None, passes: tuple[str, ...]) -> bool:
 
 def same_frames(new: RenderSettings, old: RenderSettings | None) -> bool:
     """Tell whether frames with `new` settings look like those with `old` ones, apart from the debug view."""
-    groups = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
     if old is None or new.performance.deterministic != old.performance.deterministic:
         return False
-    return new.sampling.seed == old.sampling.seed and all(getattr(new, name) == getattr(old, name) for name in groups)
+    return new.sampling.seed == old.sampling.seed and all(
+        getattr(new, name) == getattr(old, name) for name in FRAME_GROUPS)

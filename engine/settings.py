@@ -17,7 +17,10 @@ __all__ = [
     "CacheKey", "CacheSettings", "Change", "DebugSettings", "DenoiserSettings", "Device", "DirectLightSettings",
     "FilmSettings", "Integrator", "PixelFilter", "Preset", "ProbeSettings", "ReflectionResolution",
     "ReflectionSettings", "RenderSettings", "SamplingSettings", "LightPathSettings", "PerformanceSettings",
-    "change_since", "setting_info"]
+    "FRAME_GROUPS", "change_since", "setting_info"]
+
+FRAME_GROUPS = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
+"""Groups of RenderSettings all of which decide what frames look like"""
 
 
 class Integrator(enum.StrEnum):
@@ -210,7 +213,7 @@ class ProbeSettings:
         True, "Update every other probe that may wait while something moves: half the probe, bounce and shadow rays, "
         "slightly more noise in motion")
     dense_small: bool = setting(
-        True, "Give pictures of up to half a million pixels as many rays as a 1080p frame has, on a GPU, which they "
+        True, "Give pictures of 240x135 to 960x540 pixels as many rays as a 1080p frame has, on a GPU, which they "
         "leave idle otherwise: twice as many probes along each side, a reflection ray for each pixel and finer cells, "
         "less noise and sharper light for half a millisecond a frame")
     contact_detail: bool = setting(
@@ -390,9 +393,8 @@ def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
     """Return what `new` asks of a session that ran with `old`; the one place that knows which edits restart."""
     if old is None or new.device != old.device:
         return Change.DEVICE | Change.RESIZE | Change.RESTART
-    groups = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
     performance = ("texture_budget", "texture_size_limit", "opacity_maps", "deterministic")
-    same = (all(getattr(new, name) == getattr(old, name) for name in groups)
+    same = (all(getattr(new, name) == getattr(old, name) for name in FRAME_GROUPS)
             and all(getattr(new.performance, name) == getattr(old.performance, name) for name in performance)
             and (new.sampling.seed, new.sampling.integrator) == (old.sampling.seed, old.sampling.integrator))
     return Change.NONE if same else Change.RESTART

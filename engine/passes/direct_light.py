@@ -30,6 +30,7 @@ from ..clear_glass import passes_glass
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
+from ..ray_budget import HALF_RATE_PIXELS
 from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..work_list import make_queue, make_work_list, one_number
@@ -37,8 +38,6 @@ from .layer_rays import record_shadows
 
 __all__ = ["DirectLightPass", "has_lights"]
 
-HALF_RATE_PIXELS = 1_000_000
-"""Pictures of no more have a shadow ray for each pixel in every frame: they are coarser, and it costs little"""
 DEBUG_CHANNELS = {
     "direct.diffuse": direct_debug.SHOW_DIFFUSE,
     "direct.specular": direct_debug.SHOW_SPECULAR,

@@ -102,7 +102,7 @@ class RadianceCachePass:
         return wp.zeros(count, dtype=dtype, device=self.device)
 
     def resize(self, width: int, height: int) -> None:
-        """Take note of the picture's size [px]; only debug views depend on it."""
+        """Take note of the picture's size [px], which debug views and the number of bounce rays depend on."""
         self.width, self.height = width, height
 
     def reset(self) -> None:

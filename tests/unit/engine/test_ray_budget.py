@@ -5,6 +5,7 @@ import dataclasses
 
 import pytest
 from burnish.engine import realtime
+from burnish.engine.passes.ray_scene import STRIDES
 from burnish.engine.presets import apply_preset
 from burnish.engine.ray_budget import SMALL_PIXELS, densified, spreading_rays
 from burnish.engine.scene import LightKind
@@ -30,8 +31,7 @@ def test_a_small_picture_has_no_more_rays_than_a_large_one() -> None:
     """Have as many probes and reflection rays at 960x540 as at 1920x1080, and fewer below."""
     def rays(width: int, height: int) -> tuple[int, int]:
         settings = densified(DEFAULTS, width, height, height, "cuda:0")
-        stride = {"full": 1, "half": 2, "quarter": 4}[settings.reflections.resolution]
-        tile = settings.probes.spawn_tile
+        stride, tile = STRIDES[settings.reflections.resolution], settings.probes.spawn_tile
         return -(-width // tile) * -(-height // tile), -(-width // stride) * -(-height // stride)
 
     assert rays(960, 540) == rays(1920, 1080)
