@@ -21,7 +21,8 @@ from ..engine.measure import View
 from ..engine.read import read_exr
 from ..engine.scene import CameraData, SceneDelta
 from ..engine.session import Session
-from ..engine.settings import Change, RenderSettings
+from ..engine.setting_changes import Change
+from ..engine.settings import RenderSettings
 from ..engine.write import LayerPixels, PassPixels, write_exr
 from . import final
 from .bench_store import OWN, Job

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..engine.scene import CameraData
-from ..engine.settings import Change, Integrator, RenderSettings, change_since
+from ..engine.setting_changes import Change, change_since
+from ..engine.settings import Integrator, RenderSettings
 from .resolution import divided_size
 
 __all__ = ["ViewRequest", "divided_crop", "picture_area", "real_time", "restarts", "step_text"]

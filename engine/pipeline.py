@@ -25,7 +25,7 @@ from .clear_glass import light_scene, passes_glass
 from .device import device_errors
 from .device_scene import DeviceScene
 from .environment_split import split_environment
-from .fog import fog_struct
+from .frame_fingerprint import fingerprint
 from .frame_graph import FrameGraph
 from .motion import MotionTracker
 from .passes.absent import note_absent
@@ -38,6 +38,7 @@ from .passes.direct_light import DirectLightPass, has_lights
 from .passes.fog import FOG, FogPass
 from .passes.gbuffer import GBufferPass, shines_plainly
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
+from .passes.ray_scene import scatters_below
 from .passes.reflection_denoise import ReflectionDenoisePass
 from .passes.reflections import STRIDES, RayScene, ReflectionPass
 from .passes.rest_gather import RestGatherPass
@@ -151,7 +152,7 @@ class Pipeline:
         motion = self.motion.advance(scene)
         self._update_split(scene)
         self._blurred = self._settings.denoiser.depth_of_field and has_blur(views.row["camera"])
-        recorded_for = self._fingerprint(scene, motion)
+        recorded_for = fingerprint(scene, motion, self.split, self._blurred)
         if recorded_for != self._recorded_for:
             self._graphs, self._recorded_for = {}, recorded_for
         # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
@@ -199,17 +200,6 @@ class Pipeline:
             self.split = split_environment(scene.scene, self.device)
             self._split_for = scene.environment
 
-    def _fingerprint(self, scene: DeviceScene, motion: Motion) -> bytes:
-        """Return everything that a record freezes besides settings: addresses and numbers in the by-value structs."""
-        facts = (scene.structures.has_filtered, shines_plainly(scene.scene, scene.emitters), scene.has_hit_programs,
-                 scene.world_texels.ptr, scene.emitters.textured, scene.local_power, scene.radius, self.split.share,
-                 scene.material_table.lean, scene.material_table.reflectors, self._blurred)
-        structs = [scene.scene, motion, self.split]
-        structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
-        fog = scene.media and scene.media.fog
-        structs += [fog_struct(fog)] if fog is not None else []
-        return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
-
     def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
         """Return the passes of reflection and of light from behind that the scene needs."""
         reflectors = scene.material_table.reflectors
@@ -218,14 +208,13 @@ class Pipeline:
             needed.append(self.reflections)
             self._prepare(self.reflections, self.reflection_denoise)
         else:
-            self._leave_out(
-                graph, "reflections", "nothing reflects sharply", self.reflections, self.reflection_denoise)
-        if reflectors.refracts or reflectors.scatters:
+            self._leave_out(graph, "reflections", "nothing reflects sharply", self.reflections, self.reflection_denoise)
+        if reflectors.refracts or reflectors.scatters or scatters_below(scene, self._settings.reflections):
             needed.append(self.refraction)
             self._prepare(self.refraction, self.refraction_denoise)
         else:
             self._leave_out(
-                graph, "refraction", "nothing lets light through bent or scattered", self.refraction,
+                graph, "refraction", "nothing lets light through or scatters it below its surface", self.refraction,
                 self.refraction_denoise)
         return needed
 
@@ -243,8 +232,7 @@ class Pipeline:
         if has_lights(scene.scene, self.split):
             self._prepare(self.direct, self.direct_denoise)
             return True
-        self._leave_out(
-            graph, "direct light", "the scene has no lamps, emitters or sun", self.direct, self.direct_denoise)
+        self._leave_out(graph, "direct light", "there are no lamps, emitters or sun", self.direct, self.direct_denoise)
         if self._black is None:
             self._black = DirectLight()
             for name in ("diffuse", "specular"):
@@ -299,7 +287,7 @@ class Pipeline:
         graph, kernels_scene = FrameGraph(self.device), light_scene(scene.scene, self._settings.direct_light)
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         shining = shines_plainly(kernels_scene, scene.emitters)
-        lean = scene.material_table.lean
+        lean, below = scene.material_table.lean, scatters_below(scene, self._settings.reflections)
         # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
         # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
         lit, fog = self._needs_direct(graph, scene), self._needs_fog(graph, parity, scene)
@@ -316,7 +304,7 @@ class Pipeline:
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
             graph, parity, kernels_scene, scene.structures, views, filtered=filtered, all_lean=lean.surface,
-            lean_layers=lean.transparency, shining=shining, exact=lean.exact)
+            lean_layers=lean.transparency, shining=shining, exact=lean.exact, scattering=below)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
         with graph.branch(REPROJECTION):
             self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)
@@ -327,7 +315,7 @@ class Pipeline:
         reflectors = scene.material_table.reflectors
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
-            reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
+            reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters, below,
             self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy,
             scene.media and scene.media.frames, fog)
         note_absent(graph, scene, what)
@@ -355,7 +343,7 @@ class Pipeline:
         for each in traced:
             with graph.branch(each.name):
                 each.record_samples(graph, views, self.cache.grid)
-                if not each.asks_probes:
+                if not (each.asks_probes or below):
                     shown[each] = self._record_filter(graph, parity, views, surfaces, each)
         indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
         for each in traced:
@@ -374,6 +362,9 @@ class Pipeline:
                     graph, parity, views, surfaces, before, reprojection, each.options, each.samples, indirect)
         graph.join(DIRECT, *branches)
         graph.join(FOG)
+        if below:
+            self.refraction.record_seen_light(graph, parity, self.composite.lights(direct, indirect, gathered))
+            shown[self.refraction] = self._record_filter(graph, parity, views, surfaces, self.refraction)
         mirrors = None
         if self.reflections in traced and reflectors.sharpest < DISTANCE_ROUGHNESS:
             mirrors = self.reflection_denoise.mirrors(parity, surfaces)

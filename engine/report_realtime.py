@@ -115,7 +115,8 @@ def realtime_approximations(
                    f"refracted light is followed over at most {settings.reflections.bounces} more surfaces, from two "
                    f"on three times as many in smooth glass{until}", facts.refractive)
     if facts.scattering:
-        report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering is drawn as diffuse reflection{until}",
+        where = ", in mirrors and to other surfaces," if settings.reflections.subsurface else ""
+        report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering{where} is drawn as diffuse reflection{until}",
                    facts.scattering)
     if facts.media:
         report.add(ReportKind.APPROXIMATED, "",

@@ -35,7 +35,8 @@ from .realtime import Realtime, fog_traced, settings_for
 from .report import Report, ReportKind
 from .scene import CameraData, SceneDelta
 from .session_stats import SessionStats
-from .settings import Change, Integrator, RenderSettings, change_since
+from .setting_changes import Change, change_since
+from .settings import Integrator, RenderSettings
 from .staging import PictureInbox
 from .warmup import warm_up
 

@@ -14,10 +14,10 @@ from typing import Any
 from .debug_views import DEBUG_VIEWS
 
 __all__ = [
-    "CacheKey", "CacheSettings", "Change", "DebugSettings", "DenoiserSettings", "Device", "DirectLightSettings",
+    "CacheKey", "CacheSettings", "DebugSettings", "DenoiserSettings", "Device", "DirectLightSettings",
     "FilmSettings", "Integrator", "PixelFilter", "Preset", "ProbeSettings", "ReflectionResolution",
     "ReflectionSettings", "RenderSettings", "SamplingSettings", "LightPathSettings", "PerformanceSettings",
-    "FRAME_GROUPS", "change_since", "setting_info"]
+    "FRAME_GROUPS", "setting_info"]
 
 FRAME_GROUPS = ("light_paths", "film", "probes", "cache", "direct_light", "reflections", "denoiser")
 """Groups of RenderSettings all of which decide what frames look like"""
@@ -87,18 +87,6 @@ class PixelFilter(enum.StrEnum):
     """Truncated Gaussian."""
     BLACKMAN_HARRIS = "blackman_harris"
     """Blackman-Harris window: Cycles' default."""
-
-
-class Change(enum.IntFlag):
-    """What a new RenderSettings asks of a running session."""
-
-    NONE = 0
-    RESTART = 1
-    """The accumulated samples are no longer valid."""
-    RESIZE = 2
-    """Frame buffers must be reallocated (implies RESTART)."""
-    DEVICE = 4
-    """Everything must move to another device."""
 
 
 def setting(default: Any, help: str, *, low: Any = None, high: Any = None, soft_high: Any = None, unit: str = "",
@@ -304,6 +292,9 @@ class ReflectionSettings:
     hit_lighting: bool = setting(
         True, "Light the hits of sharp reflections themselves and make cells there. Off: only look into the radiance "
         "cache, as published: faster, blotched, black where the cache knows nothing")
+    subsurface: bool = setting(
+        True, "Scatter light below surfaces, such as skin and wax, by the profile of Christensen and Burley: for a ray "
+        "and a light sample where there are some. Off: they are matte until path tracing takes over")
     jitter: bool = setting(
         True, "Jitter look-ups in the cache and the last filter where roughness varies: hides the borders of cells and "
         "blocks, for slightly more noise")
@@ -387,14 +378,3 @@ class RenderSettings:
     reflections: ReflectionSettings = field(default_factory=ReflectionSettings)
     denoiser: DenoiserSettings = field(default_factory=DenoiserSettings)
     debug: DebugSettings = field(default_factory=DebugSettings)
-
-
-def change_since(new: RenderSettings, old: RenderSettings | None) -> Change:
-    """Return what `new` asks of a session that ran with `old`; the one place that knows which edits restart."""
-    if old is None or new.device != old.device:
-        return Change.DEVICE | Change.RESIZE | Change.RESTART
-    performance = ("texture_budget", "texture_size_limit", "opacity_maps", "deterministic")
-    same = (all(getattr(new, name) == getattr(old, name) for name in FRAME_GROUPS)
-            and all(getattr(new.performance, name) == getattr(old.performance, name) for name in performance)
-            and (new.sampling.seed, new.sampling.integrator) == (old.sampling.seed, old.sampling.integrator))
-    return Change.NONE if same else Change.RESTART

@@ -49,6 +49,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no mirrors in mirrors": {"reflections.bounces": 0},
     "no screen reuse": {"reflections.screen_reuse": False},
     "no lighting of hits": {"reflections.hit_lighting": False},
+    "nothing scattered below surfaces": {"reflections.subsurface": False},
     "no jitter of reflections": {"reflections.jitter": False},
     "no direct filter": {"denoiser.direct_iterations": 0},
     "no diffuse blur": {"denoiser.diffuse_radius": 0},

@@ -9,7 +9,7 @@ from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .geometry_math import is_finite3, max_component, over_albedo
 from .long_mean import pack_mean, unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
-from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share
+from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share, through_albedo
 from .view import SKY_DEPTH, View
 from .wide_loads import load_vec4h
 from .wide_stores import store_vec4h
@@ -36,7 +36,7 @@ class Lights:
     reflection: wp.array[wp.uint64]
     """pack_mean of what reflections show of indirect light: times GBuffer.specular it leaves the surface"""
     transmission: wp.array[wp.uint64]
-    """The same of light that comes through the surface, times GBuffer.transmitted and .translucent"""
+    """The same of light that comes through the surface or from below it, times through_albedo"""
     has_reflection: int
     """0: `reflection` is not there, and the irradiance stands in for it"""
     has_transmission: int
@@ -139,7 +139,7 @@ def reflected_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pix
 def transmitted_light(lights: Lights, m: SurfaceMaterial, irradiance: wp.vec3, pixel: int) -> wp.vec3:
     """Return the light that comes through a surface, without its colour; the irradiance stands in for it."""
     if lights.has_transmission == 1:
-        if max_component(m.transmitted + m.translucent) > REFLECTANCE_MIN:
+        if max_component(through_albedo(m)) > REFLECTANCE_MIN:
             return unpack_mean(lights.transmission[pixel])
     return irradiance
 
@@ -170,13 +170,14 @@ def light_shares(gbuffer: GBuffer, lights: Lights, pixel: int) -> LightShares:
         indirect = indirect_light(gbuffer, lights, pixel)
         s.diffuse_albedo = m.diffuse + m.translucent
         s.specular_albedo = m.specular
-        s.diffuse_direct = wp.cw_mul(s.diffuse_albedo, light_or_none(load_vec4h(lights.direct_diffuse, pixel)))
-        s.diffuse_indirect = wp.cw_mul(m.diffuse, indirect)
+        direct = light_or_none(load_vec4h(lights.direct_diffuse, pixel))
+        s.diffuse_direct = wp.cw_mul(s.diffuse_albedo - m.scattered, direct)
+        s.diffuse_indirect = wp.cw_mul(m.diffuse - m.scattered, indirect)
         s.specular_direct = wp.cw_mul(m.specular, light_or_none(load_vec4h(lights.direct_specular, pixel)))
         s.specular_indirect = wp.cw_mul(m.specular, reflected_light(lights, m, indirect, pixel))
-        if max_component(m.transmitted + m.translucent) > 0.0:
+        if max_component(through_albedo(m)) > 0.0:
             through = transmitted_light(lights, m, indirect, pixel)
-            s.diffuse_indirect += wp.cw_mul(m.translucent, through)
+            s.diffuse_indirect += wp.cw_mul(m.translucent + m.scattered, through)
             s.transmitted_albedo = m.transmitted
             s.transmitted = wp.cw_mul(m.transmitted, through)
     return s

@@ -69,6 +69,8 @@ class GBuffer:
     """Coat's directional albedo (unorm16) | its perceptual roughness (unorm16) << 16; where SURFACE_COATED is set"""
     emission: wp.array[wp.vec4h]
     """Emitted radiance * exposure (of the world where nothing is hit); w = alpha of the pixel"""
+    below: wp.array[wp.uint32]
+    """pack_color: share of `diffuse` that is scattered below the surface; empty in scenes without"""
 
 
 @wp.struct
@@ -89,6 +91,8 @@ class SurfaceMaterial:
 
     diffuse: wp.vec3
     """Albedo"""
+    scattered: wp.vec3
+    """Part of `diffuse` whose light has gone in elsewhere"""
     translucent: wp.vec3
     specular: wp.vec3
     """Directional albedo of all reflection for this view: the lobe of f0, f90 and roughness, and the coat"""
@@ -169,6 +173,9 @@ def load_material(gbuffer: GBuffer, pixel: int) -> SurfaceMaterial:
         coat = unpack_unorm16(gbuffer.coat[pixel])
         m.coat = coat[0]
         m.coat_roughness = coat[1]
+    m.scattered = wp.vec3(0.0, 0.0, 0.0)
+    if gbuffer.below.shape[0] > 0:
+        m.scattered = wp.cw_mul(m.diffuse, unpack_color(gbuffer.below[pixel]))
     return m
 
 

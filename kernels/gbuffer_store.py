@@ -10,8 +10,15 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import CameraRay
-from .gbuffer import SURFACE_BACKFACING, SURFACE_EMITS, GBuffer, SurfaceMaterial, store_material
-from .gbuffer_rays import PrimaryHits
+from .gbuffer import (
+    SURFACE_BACKFACING,
+    SURFACE_EMITS,
+    GBuffer,
+    SurfaceMaterial,
+    barycentrics_of,
+    store_material,
+)
+from .gbuffer_rays import PrimaryHits, primary_ray
 from .geometry_math import (
     finite_or_zero,
     is_finite3,
@@ -203,5 +210,18 @@ def pixel_point(view: View, scene: Scene, hits: PrimaryHits, pixel: int, ray: Ca
     point.footprint = cone[0] + cone[1] * t
     point.ray_visibility = VISIBLE_CAMERA
     point.ray_length = t
+    point.ray_depth = 0
+    return point
+
+
+@wp.func
+def stored_point(view: View, scene: Scene, gbuffer: GBuffer, width: int, pixel: int) -> ShadingPoint:
+    """Return the point at which the program of a surface in the G-buffer runs once more."""
+    ray = primary_ray(view, pixel % width, pixel // width)
+    point = surface_point(scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), ray.direction)
+    cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
+    point.ray_length = wp.length(point.position - ray.origin)
+    point.footprint = cone[0] + cone[1] * point.ray_length
+    point.ray_visibility = VISIBLE_CAMERA
     point.ray_depth = 0
     return point

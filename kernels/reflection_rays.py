@@ -68,6 +68,10 @@ FOUND_CELL = wp.constant(wp.uint8(7))
 """Lit by a cell's means alone"""
 FOUND_DIRECT = wp.constant(wp.uint8(8))
 """Lit by a shadow ray of its own alone: for indirect light other rays go on"""
+FOUND_BELOW = wp.constant(wp.uint8(9))
+"""To be found: where light goes in that comes out here (reflection_below.py)"""
+FOUND_EXIT = wp.constant(wp.uint8(10))
+"""A place where it does, which is yet to be lit"""
 
 
 @wp.struct

@@ -2,7 +2,8 @@
 """The kernel that draws the first directions of light from behind: through glass, or scattered by a translucent lobe.
 
 Through glass from the real BSDF, which the G-buffer does not hold; what a leaf or a curtain scatters comes from the
-half-space behind it, evenly by the cosine, and direct light has the lamps there (first_density).
+half-space behind it, evenly by the cosine, and direct light has the lamps there (first_density). Where light from below
+the surface comes from is found by reflection_below.py.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from .reflection_glass import sample_transmission
 from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
+    FOUND_BELOW,
     RayStart,
     ReflectionRays,
     find_start,
     send_ray,
     start_ray,
 )
-from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, translucent_share
+from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, through_albedo, translucent_share
 from .sampling import DIMENSION_FIRST_BOUNCE, sample_cosine, sample_number, sample_pair
 from .sampling import DIMENSION_LOBE as CLOSURE_LOBE
 from .tracing import FOOTPRINT_SCALE
@@ -64,7 +66,7 @@ def scattered_direction(
     s.wi = wp.normalize(to_frame(-normal, local))
     s.pdf = wp.max(local[2] * INV_PI, PDF_MIN)
     if wp.dot(s.wi, point.geometric_normal) < 0.0:
-        s.weight = over_albedo(m.translucent, m.translucent + m.transmitted) / share
+        s.weight = over_albedo(m.translucent, through_albedo(m)) / share
     return s
 
 
@@ -83,7 +85,7 @@ def refracted_direction(
     weight = over_albedo(drawn.weight, bsdf_albedo(scene.tables, bsdf, point.wo).transmitted)
     s.wi = drawn.wi
     s.pdf = drawn.pdf
-    s.weight = wp.cw_mul(weight, over_albedo(m.transmitted, m.translucent + m.transmitted)) / wp.max(share, 1.0e-6)
+    s.weight = wp.cw_mul(weight, over_albedo(m.transmitted, through_albedo(m))) / wp.max(share, 1.0e-6)
     return s
 
 
@@ -118,13 +120,18 @@ def start_refractions(
     share = translucent_share(m)
     kind = int(VISIBLE_DIFFUSE)
     light = FirstDirection()
+    below = bool(False)
     if sample_number(start.seed, start.index, DIMENSION_LOBE) < share:
+        # No closure has both a translucent lobe and light from below.
+        below = max_component(m.scattered) > 0.0
         light = scattered_direction(m, unpack_normal(gbuffer.normal[pixel]), point, start, share)
     else:
         kind = int(VISIBLE_TRANSMISSION)
         # The closure that the G-buffer has drawn in this frame.
         choice = sample_pair(start.seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + CLOSURE_LOBE)
         light = refracted_direction(scene, m, point, start, choice[1], 1.0 - share)
+    if below:
+        light.weight = over_albedo(m.scattered, through_albedo(m)) / share
     if not (light.pdf > 0.0 and is_finite3(light.weight)):
         light.weight = wp.vec3(0.0, 0.0, 0.0)
         light.wi = ray.direction
@@ -132,6 +139,9 @@ def start_refractions(
     start_ray(
         samples_out, rays_out, paths_out, vertices_out, slot, start, light.wi, light.weight, light.pdf,
         wp.vec2(point.footprint, cone[1]))
+    if below:
+        rays_out.found[slot] = FOUND_BELOW
+        return
     if kind == VISIBLE_DIFFUSE:
         # What lies behind is blurred whatever its distance: filters need not keep apart what is close.
         vertices_out.emission[slot] = wp.vec4(0.0, 0.0, 0.0, SAMPLE_FAR)

@@ -15,7 +15,7 @@ from .geometry_math import max_component, mean_component
 
 LOBE_REFLECTION = wp.constant(0)
 LOBE_TRANSMISSION = wp.constant(1)
-"""Light from behind a surface: through glass, or scattered by a translucent lobe"""
+"""Light from behind a surface: through glass, or scattered by a translucent lobe; and from below it"""
 LOBE_DIFFUSE = wp.constant(2)
 """Diffuse reflection, at rest alone (final gather)"""
 
@@ -76,7 +76,7 @@ class ReflectionSamples:
     missing the place stays and `pdf` is 0. Once there is light with PLACE_STEADY, or without"""
     radiance: wp.array[wp.uint64]
     """pack_halves: incoming radiance * f cos / pdf / albedo, exposed (its mean times GBuffer.specular, or
-    .transmitted + .translucent, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m],
+    through_albedo, is what the pixel shows); w = distance to the hit, unfolded over mirrors [m],
     SAMPLE_FAR for the world"""
     direction: wp.array[wp.uint32]
     """pack_normal: unit direction in which the ray left the pixel's surface"""
@@ -155,9 +155,15 @@ def sampled_share(options: ReflectionOptions, roughness: float) -> float:
 
 
 @wp.func
+def through_albedo(m: SurfaceMaterial) -> wp.vec3:
+    """Return the albedo of light from behind a surface, or from below it: what LOBE_TRANSMISSION samples."""
+    return m.transmitted + m.translucent + m.scattered
+
+
+@wp.func
 def translucent_share(m: SurfaceMaterial) -> float:
-    """Return how much of the light that comes through a surface its translucent lobe scatters; glass lets the rest."""
-    scattered = mean_component(m.translucent)
+    """Return how much of that light is diffuse: of the translucent lobe, or scattered below; glass lets the rest."""
+    scattered = mean_component(m.translucent + m.scattered)
     return scattered / wp.max(scattered + mean_component(m.transmitted), 1.0e-20)
 
 
@@ -165,7 +171,7 @@ def translucent_share(m: SurfaceMaterial) -> float:
 def is_sampled(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
     """Return whether a surface needs samples of this lobe."""
     if options.lobe == LOBE_TRANSMISSION:
-        return max_component(m.transmitted + m.translucent) > REFLECTANCE_MIN
+        return max_component(through_albedo(m)) > REFLECTANCE_MIN
     if options.lobe == LOBE_DIFFUSE:
         return max_component(m.diffuse) > REFLECTANCE_MIN
     sharpest = m.roughness

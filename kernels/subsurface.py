@@ -30,6 +30,10 @@ ALBEDO_MIN = wp.constant(0.2)
 """Walks of a lower one have this, and carry less: guided directions lose their sense below"""
 
 
+ENTRIES = wp.constant(4)
+"""Directions of entry that plane_albedo averages over"""
+
+
 @wp.struct
 class Medium:
     """What is below a surface."""
@@ -230,6 +234,24 @@ def medium_of(closure: Closure) -> Medium:
 
 
 @wp.func
+def spread_distance(closure: Closure) -> wp.vec3:
+    """Return how far from where it has gone in light comes out in the mean, from below a plane, per channel [m].
+
+    By the profile of Christensen and Burley, "Approximate Reflectance Profiles for Efficient Subsurface Scattering"
+    (Pixar Technical Memo 15-04, 2015), whose mean is 2.5 d, with their fit of d for light from all sides (eq. 6).
+    """
+    medium = medium_of(closure)
+    color = saturate3(closure.color)
+    distance = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        # What is scattered forward has not been scattered (similarity relation, Wyman, Patterson and Wilson 1989).
+        reduced = medium.extinction[c] * (1.0 - medium.anisotropy * medium.albedo[c])
+        scale = 1.9 - color[c] + 3.5 * sqr(color[c] - 0.8)
+        distance[c] = 2.5 / (wp.max(reduced, 1.0e-20) * scale)
+    return distance
+
+
+@wp.func
 def entry_direction(closure: Closure, normal: wp.vec3, wo: wp.vec3, u: wp.vec2) -> wp.vec3:
     """Return the direction in which a path goes below the surface, zero for none.
 
@@ -255,6 +277,35 @@ def entry_direction(closure: Closure, normal: wp.vec3, wo: wp.vec3, u: wp.vec2) 
         m = sample_ggx_normal(local, alpha, alpha, number)
     d = refract_about(local, m, entry_index(closure))
     return t * d[0] + b * d[1] + normal * d[2]
+
+
+@wp.func
+def plane_albedo(closure: Closure, normal: wp.vec3, wo: wp.vec3) -> wp.vec3:
+    """Return which share of its colour's light a thick body with a plane surface returns to a view, per channel.
+
+    Not all of it, as the media are fitted to light that enters otherwise; more where paths enter aslant. Cycles' bodies
+    return as much. A fit to what path tracing finds under an even sky, within 1 to 3 % for colours from 0.1 to 0.9 and
+    cosines of the view from 0.25 on.
+    """
+    aslant = float(0.0)
+    for i in range(ENTRIES):
+        # Hammersley's points.
+        second = 0.125 + 0.5 * float(i % 2) + 0.25 * float(i // 2)
+        direction = entry_direction(closure, normal, wo, wp.vec2((float(i) + 0.5) / float(ENTRIES), second))
+        y = wp.clamp(1.0 + wp.dot(direction, normal), 0.0, 1.0)
+        aslant += (2.45 * y + 1.2 * y * y + 0.7 * sqr(y * y)) / float(ENTRIES)
+    start = float(0.771)
+    slope = float(0.216)
+    if closure.subsurface_method == codes.SUBSURFACE_LEGACY:
+        start = 0.761
+        slope = 0.247
+    if closure.subsurface_method == codes.SUBSURFACE_SKIN:
+        start = 0.796
+    color = saturate3(closure.color)
+    share = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        share[c] = start + slope * color[c] + (0.229 - 0.216 * color[c]) * aslant
+    return share
 
 
 @wp.func

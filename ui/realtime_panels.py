@@ -108,6 +108,7 @@ class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):
         column.prop(reflections, "roughness_traced", text="Traced up to Roughness")
         column.prop(reflections, "roughness_diffuse", text="Diffuse from")
         column.prop(reflections, "roughness_blend", text="Blend")
+        layout.prop(reflections, "subsurface")
 
 
 class BURNISH_RENDER_PT_reflections_method(RealtimePanel, Panel):

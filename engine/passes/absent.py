@@ -26,6 +26,7 @@ def note_absent(graph: FrameGraph, scene: DeviceScene, what: RayScene) -> None:
         "shadow rays of hits": ("nothing shines", lights.class_count == 0),
         "chains of mirrors": ("no mirror and no glass", not what.mirrors),
         "highlights in mirrors": ("nothing glossy is lit", not what.glossy or lights.class_count == 0),
+        "walks below surfaces": ("nothing scatters light there", not what.below),
         "lobes of other shapes": ("all are Lambert's or round", not scene.material_table.reflectors.shaped),
         "full node machine": ("all materials are plain", lean.surface and lean.flat and lean.transparency),
     }

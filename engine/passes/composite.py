@@ -133,15 +133,12 @@ class CompositePass:
         color = self.color.current(parity)
         if specular_ratio is None:
             specular_ratio = wp.full(count, 1.0, dtype=wp.float16, device=self.device)
-        lights = Lights()
-        lights.direct_diffuse, lights.direct_specular = direct.diffuse, direct.specular
-        lights.irradiance, lights.specular_ratio = irradiance, specular_ratio
+        lights = self.lights(direct, irradiance, indirect)
+        lights.specular_ratio = specular_ratio
         if reflection is not None:
             lights.reflection, lights.options, lights.has_reflection = reflection, options, 1
         if transmission is not None:
             lights.transmission, lights.has_transmission = transmission, 1
-        if indirect is not None:
-            lights.indirect, lights.has_indirect = indirect, 1
         self._inputs[parity] = (gbuffer, lights)
         matte = self.matte.current(parity) if keeping_matte else self._nothing
         graph.launch(composite.compose, count, [views, gbuffer, lights], [color, matte])
@@ -156,6 +153,14 @@ class CompositePass:
              mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing)],
             [accumulated])
         return accumulated.color
+
+    def lights(self, direct: Any, irradiance: wp.array, indirect: wp.array | None) -> Lights:
+        """Return diffuse light alone, as kernels take it; arguments as of `record`."""
+        lights = Lights()
+        lights.direct_diffuse, lights.direct_specular, lights.irradiance = direct.diffuse, direct.specular, irradiance
+        if indirect is not None:
+            lights.indirect, lights.has_indirect = indirect, 1
+        return lights
 
     def newest(self, parity: int) -> tuple[wp.array, Accumulation]:
         """Return the frame recorded last, vec4h [h * w] before anti-aliasing, and what that makes of it."""

@@ -9,6 +9,7 @@ from ...kernels import (
     compaction,
     flat_tracing,
     gbuffer_behind,
+    gbuffer_below,
     gbuffer_debug,
     gbuffer_exact,
     gbuffer_layers,
@@ -97,6 +98,13 @@ class GBufferPass:
             "behind": wp.vec4}, count)
         self.layered = make_work_list(count, self.device)
 
+    def _fit_scattering(self, scattering: bool) -> None:
+        """Allocate what only scenes need that scatter light below surfaces."""
+        for gbuffer in (self.current(0), self.current(1)):
+            count = self.width * self.height if scattering else 0
+            if gbuffer.below is None or len(gbuffer.below) != count:
+                gbuffer.below = wp.zeros(count, dtype=wp.uint32, device=self.device)
+
     def reset(self) -> None:
         """Forget the frame before."""
         self.history.reset()
@@ -112,7 +120,7 @@ class GBufferPass:
     def record(
         self, graph: FrameGraph, parity: int, scene: Scene, structures: Structures, views: wp.array, *,
         filtered: bool = True, all_lean: bool = False, lean_layers: bool = False, shining: bool = False,
-        exact: bool = False,
+        exact: bool = False, scattering: bool = False,
     ) -> GBuffer:
         """Record the G-buffer of a frame.
 
@@ -127,7 +135,9 @@ class GBufferPass:
             lean_layers: Whether it runs all transparency programs (MaterialTable.lean).
             exact: Whether any material has an exact program (MaterialTable.lean).
             shining: Whether layers may hide what shines without a program (see shines_plainly).
+            scattering: Whether light is scattered below surfaces.
         """
+        self._fit_scattering(scattering)
         width, height, gbuffer, hits = self.width, self.height, self.current(parity), self.hits
         count, in_blocks = width * height, count_in_blocks(width, height)
         layers = int(gbuffer_rays.LAYERS_NONE)
@@ -158,6 +168,8 @@ class GBufferPass:
                     few=True)
             if scene.lights.lamp_count > 0:
                 graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])
+            if scattering:
+                graph.launch(gbuffer_below.note_scattering, count, [views, scene, width], [gbuffer])
         return gbuffer
 
     def record_reprojection(

@@ -13,9 +13,10 @@ from ...kernels.media import Media
 from ...kernels.motion import Motion
 from ...kernels.reflection_types import LOBE_REFLECTION, ReflectionOptions
 from ...kernels.types import Scene
+from ..device_scene import DeviceScene
 from ..settings import ReflectionResolution, ReflectionSettings
 
-__all__ = ["STRIDES", "RayScene", "reflection_options"]
+__all__ = ["STRIDES", "RayScene", "reflection_options", "scatters_below"]
 
 STRIDES = {ReflectionResolution.FULL: 1, ReflectionResolution.HALF: 2, ReflectionResolution.QUARTER: 4}
 
@@ -41,6 +42,8 @@ class RayScene:
     """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
     scatters: bool = False
     """Whether any is translucent: sends those on that come from another one"""
+    below: bool = False
+    """Whether light is scattered below surfaces"""
     deterministic: bool = False
     """Whether frames shall be the same in every run"""
     settled: bool = False
@@ -71,3 +74,8 @@ def reflection_options(
     options.traced, options.diffuse = settings.roughness_traced, settings.roughness_diffuse
     options.blend = settings.roughness_blend
     return options
+
+
+def scatters_below(scene: DeviceScene, settings: ReflectionSettings) -> bool:
+    """Return whether frames scatter light below surfaces (kernels/reflection_below.py)."""
+    return settings.subsurface and scene.material_table.subsurface.scatters

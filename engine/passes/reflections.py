@@ -38,6 +38,7 @@ from ...kernels import (
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
+from ...kernels.composite import Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
 from ...kernels.paths import Paths
@@ -69,6 +70,7 @@ from .layer_rays import record_hits, record_layers
 from .ray_media import RayMedia, last_of
 from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
+from .walks import WalkPass
 
 __all__ = ["STRIDES", "RayScene", "ReflectionPass", "reflection_options"]
 
@@ -130,6 +132,7 @@ class ReflectionPass:
         self._room: tuple | None = None
         self._gbuffer: dict[int, GBuffer] = {}
         self._media: RayMedia | None = None
+        self._walks = WalkPass(self.device, self.blocks)
 
     def _fit(self, filtered: bool, glossy: bool) -> None:
         """Allocate rays, one for each block."""
@@ -206,6 +209,10 @@ class ReflectionPass:
         if what.deterministic:
             graph.join(*after)
         reuse = self.settings.screen_reuse
+        if self.lobe == int(LOBE_TRANSMISSION) and what.below:
+            self._walks.record(
+                graph, views, scene, self.options, gbuffer, grid, self.samples, rays, paths, vertices)
+            self._record_segment(graph, what, 1, last=int(reflection_chain.LAST))
         if self.lobe == int(LOBE_DIFFUSE):
             self._record_near_hits(graph, views, what, grid)
             # The frame before is noisier than the hits' own light, and has its error.
@@ -354,6 +361,11 @@ class ReflectionPass:
                 resolve, self.blocks,
                 [views, self.options, grid, int(self.settings.hit_lighting), int(self.settings.jitter), self.paths,
                  self.vertices], [self.rays, self.samples])
+
+    def record_seen_light(self, graph: FrameGraph, parity: int, lights: Lights) -> None:
+        """Record adding the light of this frame that is scattered below surfaces, once it is there."""
+        with graph.section(self._section("samples")):
+            self._walks.record_light(graph, self.options, self._gbuffer[parity], lights, self.rays, self.samples)
 
     def record_look_ups(
         self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, probes: ScreenProbePass,

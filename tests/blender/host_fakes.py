@@ -13,7 +13,8 @@ import numpy as np
 from burnish.engine.pass_names import first_hit_channels
 from burnish.engine.report import Report, ReportKind
 from burnish.engine.scene import SceneDelta
-from burnish.engine.settings import Change, Integrator
+from burnish.engine.setting_changes import Change
+from burnish.engine.settings import Integrator
 
 CHANNELS = {"Combined": 4, "Depth": 1, "Normal": 3, "Position": 3, "UV": 3, "Emission": 3, "Environment": 3,
             "Object Index": 1, "Material Index": 1} | {

@@ -12,14 +12,13 @@ from burnish.engine import device as device_module
 from burnish.engine.passes.cache_spreading import LightPhase
 from burnish.engine.scene import SceneDelta
 from burnish.engine.session import Session
+from burnish.engine.setting_changes import Change, change_since
 from burnish.engine.settings import (
     CacheSettings,
-    Change,
     Device,
     Integrator,
     PerformanceSettings,
     SamplingSettings,
-    change_since,
 )
 from burnish.kernels.cache_claim import claim_key, settle_cells
 from burnish.kernels.hash_grid import BUCKET, HashGrid

@@ -25,6 +25,13 @@ COATED = glossy(color=0.5, roughness=0.7, coat=1.0, coat_roughness=0.1)
 LAMP = scenes.lamp("POINT", 60.0, scenes.place(1.0, -1.0, 2.5), radius=0.2)
 
 
+def wax():
+    """Make a material that scatters light below its surface."""
+    return scenes.material(
+        "PRINCIPLED", color=0.8, roughness=0.5, ior=1.5, subsurface=1.0, subsurface_ior=1.4, subsurface_radius=0.2,
+        subsurface_method="WALK")
+
+
 def textured_emitter():
     """Make a material whose emission varies over its surface."""
     builder = ProgramBuilder()
@@ -109,6 +116,10 @@ FEATURES = {
         "shadow rays of hits", SceneDelta(world=scenes.world(0.3)), SceneDelta(world=scenes.world(0.0)),
         ("choose_cache_lights", "cache_shadows"), ("Cache lights", "Cache shadow rays"), ("cache shadow rays",),
         room(lights=(), background=0.0)),
+    "light below surfaces": Feature(
+        "walks below surfaces", ball(wax()), ball(MATTE),
+        ("note_scattering", "enter_surfaces", "walk_below", "settle_walks", "go_on_outside", "add_seen_light"),
+        ("Refraction walks", "Refraction denoising"), ("refraction rays",)),
     "light of other shapes": Feature(
         "lobes of other shapes", ball(scenes.material("DIFFUSE", color=0.5, roughness=0.5)), ball(MATTE),
         ("shape_direct",)),
