@@ -13,6 +13,7 @@ import warp as wp
 
 from .geometry_math import orthonormal_tangent
 from .sampling import hash_combine, hashed_unit, sample_pair
+from .subsurface import PROFILE_MEAN
 from .subsurface_walk import (
     FAR_SIDE,
     FULL_STEPS,
@@ -34,8 +35,6 @@ DIFFUSED_FAR = wp.constant(12.0)
 EXTRAPOLATION = wp.constant(0.4)
 """Mean free paths beyond a surface at which diffusing light would be gone. The plane has 0.71; the first steps, which
 are walked, leave less of it: with this half-spaces of all albedos keep their light within 1 to 2 %"""
-PROFILE_MEAN = wp.constant(2.5)
-"""Mean distance of the profile, in its d"""
 
 
 @wp.struct

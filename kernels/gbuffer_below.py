@@ -15,7 +15,7 @@ from .intersect import MISS
 from .nodes import run
 from .packing import pack_color, unpack_color, unpack_normal
 from .reflection_types import fading
-from .subsurface import plane_albedo, scattered_share, spread_distance
+from .subsurface import medium_of, plane_albedo, scattered_share, spread_distance
 from .types import MATERIAL_SUBSURFACE, Scene
 from .view import View, pixel_footprint
 from .wide_loads import load_material_flags
@@ -55,7 +55,7 @@ def note_scattering(
     share = scattered_share(closure)
     if not max_component(share) > 0.0:
         return
-    seen = spread_distance(closure) / pixel_footprint(view.camera, gbuffer_out.depth[pixel])
+    seen = spread_distance(closure, medium_of(closure)) / pixel_footprint(view.camera, gbuffer_out.depth[pixel])
     normal = unpack_normal(gbuffer_out.normal[pixel])
     returned = plane_albedo(closure, normal, point.wo)
     diffuse = unpack_color(gbuffer_out.diffuse[pixel])

@@ -161,7 +161,7 @@ def enter_surfaces(
         paths_out.direction[slot] = entry_direction(closure, normal, point.wo, sample_pair(seed, index, 0))
         medium = medium_of(closure)
         walks_out.medium[slot] = medium
-        spread = spread_distance(closure)
+        spread = spread_distance(closure, medium)
         # As far as walks look for it, too.
         far = FAR_SIDE / wp.min(medium.extinction[0], wp.min(medium.extinction[1], medium.extinction[2]))
         depth = thickness_below(scene, point, wp.max(THICK * max_component(spread), far))

@@ -12,14 +12,13 @@ import warp as wp
 
 from .cache_rays import Vertices
 from .gather_start import PDF_MIN
-from .gbuffer import GBuffer, SurfaceMaterial, barycentrics_of, load_material
-from .gbuffer_rays import primary_ray
+from .gbuffer import GBuffer, SurfaceMaterial, load_material
+from .gbuffer_store import stored_point
 from .geometry_math import INV_PI, is_finite3, max_component, over_albedo, to_frame
-from .intersect import surface_point
 from .layering import prepare_bsdf
 from .nodes import run
 from .packing import unpack_normal
-from .paths import Paths, make_hit
+from .paths import Paths
 from .reflectance import bsdf_albedo
 from .reflection_glass import sample_transmission
 from .reflection_rays import (
@@ -36,7 +35,7 @@ from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, 
 from .sampling import DIMENSION_FIRST_BOUNCE, sample_cosine, sample_number, sample_pair
 from .sampling import DIMENSION_LOBE as CLOSURE_LOBE
 from .tracing import FOOTPRINT_SCALE
-from .types import VISIBLE_CAMERA, VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
+from .types import VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -76,8 +75,6 @@ def refracted_direction(
 ) -> FirstDirection:
     """Draw a direction through glass, with this `share` of all that are drawn; `pick` chooses the closure."""
     s = FirstDirection()
-    point.ray_visibility = VISIBLE_CAMERA
-    point.ray_depth = 0
     program = scene.materials.materials[point.material].surface_start
     bsdf = prepare_bsdf(scene.tables, run(scene, point, program, pick), point)
     drawn = sample_transmission(bsdf, point.wo, sample_pair(start.seed, start.index, DIMENSION_DIRECTION))
@@ -111,12 +108,7 @@ def start_refractions(
         return
     pixel = start.pixel
     m = load_material(gbuffer, pixel)
-    ray = primary_ray(view, pixel % options.width, pixel // options.width)
-    point = surface_point(
-        scene, make_hit(0.0, gbuffer.hit[pixel], barycentrics_of(gbuffer, pixel)), ray.direction)
-    cone = wp.vec2(view.camera.pixel_size, view.camera.spread) * FOOTPRINT_SCALE
-    point.ray_length = wp.length(point.position - ray.origin)
-    point.footprint = cone[0] + cone[1] * point.ray_length
+    point = stored_point(view, scene, gbuffer, options.width, pixel)
     share = translucent_share(m)
     kind = int(VISIBLE_DIFFUSE)
     light = FirstDirection()
@@ -134,11 +126,11 @@ def start_refractions(
         light.weight = over_albedo(m.scattered, through_albedo(m)) / share
     if not (light.pdf > 0.0 and is_finite3(light.weight)):
         light.weight = wp.vec3(0.0, 0.0, 0.0)
-        light.wi = ray.direction
+        light.wi = -point.wo
         light.pdf = 1.0
     start_ray(
         samples_out, rays_out, paths_out, vertices_out, slot, start, light.wi, light.weight, light.pdf,
-        wp.vec2(point.footprint, cone[1]))
+        wp.vec2(point.footprint, view.camera.spread * FOOTPRINT_SCALE))
     if below:
         rays_out.found[slot] = FOUND_BELOW
         return

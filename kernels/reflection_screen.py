@@ -29,7 +29,7 @@ from .packing import rgb, unpack_normal
 from .paths import Paths
 from .reflection_rays import FOUND_SCREEN, FOUND_WHOLE_HIT, ReflectionRays, gather
 from .types import Scene
-from .view import View, pixel_footprint, project, settling_frames
+from .view import View, pixel_footprint, pixel_of, project, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -56,18 +56,6 @@ def looks_alike(gbuffer: GBuffer, pixel: int) -> bool:
     specular = mean_component(m.specular)
     total = specular + mean_component(m.diffuse + m.translucent)
     return specular <= total * wp.where(m.roughness > ROUGH, ROUGH_SHARE, SPECULAR_SHARE)
-
-
-@wp.func
-def previous_pixel(view: View, film: wp.vec3, width: int, height: int) -> int:
-    """Return the pixel of the frame before that saw a film position; -1 outside of it."""
-    if film[2] <= 0.0:
-        return -1
-    x = wp.floor(film[0] - float(view.previous.crop_x) - view.previous_jitter[0])
-    y = wp.floor(film[1] - float(view.previous.crop_y) - view.previous_jitter[1])
-    if not (x >= 0.0 and y >= 0.0 and x < float(width) and y < float(height)):
-        return -1
-    return int(y) * width + int(x)
 
 
 @wp.kernel
@@ -108,7 +96,7 @@ def look_back(
                 return
             position = position + was.displacement
     film = project(view.previous, position)
-    pixel = previous_pixel(view, film, width, height)
+    pixel = pixel_of(view.previous, view.previous_jitter, film, width, height)
     if pixel < 0:
         return
     seen = load_previous_surface(view, previous, width, pixel)

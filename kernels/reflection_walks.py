@@ -31,7 +31,7 @@ from .reflection_types import ReflectionOptions, ReflectionSamples, sample_pixel
 from .sampling import hash_combine, hashed_unit
 from .subsurface import Medium
 from .types import Scene, ShadingPoint
-from .view import View, pixel_footprint, project
+from .view import View, pixel_footprint, pixel_of, project
 from .wide_loads import load_vec4h
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -125,13 +125,8 @@ def pixel_showing(
     It lies up to `slack` [m] off the place's plane, or two of its widths, and has a normal of that least `cosine`.
     """
     film = project(view.camera, place.position)
-    x = wp.floor(film[0] - float(view.camera.crop_x) - view.jitter[0])
-    y = wp.floor(film[1] - float(view.camera.crop_y) - view.jitter[1])
-    height = options.rows * options.stride
-    if not (film[2] > 0.0 and x >= 0.0 and y >= 0.0 and x < float(options.width) and y < float(height)):
-        return -1
-    pixel = int(y) * options.width + int(x)
-    if pixel >= gbuffer.depth.shape[0]:
+    pixel = pixel_of(view.camera, view.jitter, film, options.width, options.height)
+    if pixel < 0:
         return -1
     if gbuffer.hit[pixel][0] != place.instance:
         return -1
@@ -151,8 +146,7 @@ def cell_light(grid: HashGrid, view: View, place: ShadingPoint, arriving: wp.vec
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     if grid.direct[cell][3] < CELL_SAMPLES or grid.indirect[cell][3] < KNOWN_SAMPLES:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    light = read_cell(grid, cell)
-    return rgba(rgb(light), 1.0)
+    return read_cell(grid, cell)
 
 
 @wp.func

@@ -29,6 +29,8 @@ ALBEDO_MAX = wp.constant(0.999999)
 ALBEDO_MIN = wp.constant(0.2)
 """Walks of a lower one have this, and carry less: guided directions lose their sense below"""
 
+PROFILE_MEAN = wp.constant(2.5)
+"""Mean distance of the profile of diffusion, in its d"""
 
 ENTRIES = wp.constant(4)
 """Directions of entry that plane_albedo averages over"""
@@ -234,20 +236,22 @@ def medium_of(closure: Closure) -> Medium:
 
 
 @wp.func
-def spread_distance(closure: Closure) -> wp.vec3:
+def spread_distance(closure: Closure, medium: Medium) -> wp.vec3:
     """Return how far from where it has gone in light comes out in the mean, from below a plane, per channel [m].
 
+    `medium`: from medium_of.
+
     By the profile of Christensen and Burley, "Approximate Reflectance Profiles for Efficient Subsurface Scattering"
-    (Pixar Technical Memo 15-04, 2015), whose mean is 2.5 d, with their fit of d for light from all sides (eq. 6).
+    (Pixar Technical Memo 15-04, 2015), whose mean is PROFILE_MEAN times d, with their fit of d for light from all sides
+    (eq. 6).
     """
-    medium = medium_of(closure)
     color = saturate3(closure.color)
     distance = wp.vec3(0.0, 0.0, 0.0)
     for c in range(3):
         # What is scattered forward has not been scattered (similarity relation, Wyman, Patterson and Wilson 1989).
         reduced = medium.extinction[c] * (1.0 - medium.anisotropy * medium.albedo[c])
         scale = 1.9 - color[c] + 3.5 * sqr(color[c] - 0.8)
-        distance[c] = 2.5 / (wp.max(reduced, 1.0e-20) * scale)
+        distance[c] = PROFILE_MEAN / (wp.max(reduced, 1.0e-20) * scale)
     return distance
 
 

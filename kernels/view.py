@@ -72,6 +72,18 @@ def unproject(frame: FrameData, film: wp.vec2, depth: float) -> wp.vec3:
 
 
 @wp.func
+def pixel_of(frame: FrameData, jitter: wp.vec2, film: wp.vec3, width: int, height: int) -> int:
+    """Return the pixel whose square holds what `project` gave in a frame of that jitter; -1 outside of the picture."""
+    if film[2] <= 0.0:
+        return -1
+    x = wp.floor(film[0] - float(frame.crop_x) - jitter[0])
+    y = wp.floor(film[1] - float(frame.crop_y) - jitter[1])
+    if not (x >= 0.0 and y >= 0.0 and x < float(width) and y < float(height)):
+        return -1
+    return int(y) * width + int(x)
+
+
+@wp.func
 def project(frame: FrameData, point: wp.vec3) -> wp.vec3:
     """Return film position [px] and depth along the view axis [m] of a point; depth <= 0 is behind the camera."""
     local = transform_point(frame.world_to_camera, point)
