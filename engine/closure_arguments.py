@@ -12,7 +12,8 @@ from ..kernels import types as kernel_types
 if TYPE_CHECKING:
     from .program import Program
 
-__all__ = ["ARGUMENTS", "HAIR_ARGUMENTS", "closure_code", "closure_constants", "closures", "slot_count"]
+__all__ = ["ARGUMENTS", "HAIR_ARGUMENTS", "closure_code", "closure_constants", "closures", "is_hair_alone",
+           "slot_count"]
 
 ARGUMENTS = {
     "weight": codes.ARG_WEIGHT, "color": codes.ARG_COLOR, "normal": codes.ARG_NORMAL,
@@ -73,3 +74,8 @@ def closures(program: Program) -> Iterator[tuple[int, list[float | None]]]:
     """Yield the same with the first number of each argument."""
     for kind, arguments in closure_constants(program):
         yield kind, [None if each is None else each[0] for each in arguments]
+
+
+def is_hair_alone(program: Program) -> bool:
+    """Return whether all closures of a program are hair's."""
+    return all(kind == kernel_types.CLOSURE_HAIR for kind, _ in closures(program))

@@ -40,7 +40,7 @@ BLOCK_SIZES = dict.fromkeys(
      "shadow_share", "shadow_layers", "shadow_layers_lean", "shadow_lights", "gbuffer_rays", "gbuffer_layers",
      "gbuffer_layers_lean", "gbuffer_exact", "materials_exact", "materials_hair", "reference_hair",
      "gbuffer_behind", "gbuffer_below", "gbuffer_lean", "gbuffer_materials", "cache_rays", "cache_lean",
-     "cache_materials", "reflection_below", "reflection_walks",
+     "cache_materials", "reflection_below", "reflection_walks", "hair_place", "hair_walk", "hair_light",
      "cache_lights", "cache_programs", "decided_instances", "decided_layers", "direct_candidates", "direct_shadow",
      "direct_shade", "direct_shapes", "probe_interpolate", "reproject", "probe_blend", "probe_gather", "probe_light",
      "reflection_probes", "reflection_choice", "reflection_choice_glossy", "reflection_lean", "reflection_materials",

@@ -38,6 +38,7 @@ PASSES: dict[str, tuple[tuple[str, ...], str, tuple[tuple[str, str], ...]]] = {
     "Refraction, filter": (("Refraction denoising",), "refraction_denoise", ()),
     "Refraction": (("Refraction",), "refraction", (
         ("refraction rays", "rough"), ("refraction shadow rays", "shadow"))),
+    "Hair": (("Hair",), "hair", (("hair rays", "rough"), ("hair shadow rays", "shadow"))),
     "Final gather, filter": (("Final gather denoising",), "rest_gather", ()),
     "Final gather": (("Final gather",), "gather", (
         ("final gather rays", "spread"), ("final gather shadow rays", "shadow"))),

@@ -64,6 +64,8 @@ class LeanPrograms:
     """Whether any material has an exact program (MaterialData.exact)"""
     hair: bool = False
     """Whether any has one for hair that scatters light (MaterialData.hair)"""
+    strands: bool = False
+    """Whether that is all that any of these does (is_hair_alone)"""
 
 
 def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:

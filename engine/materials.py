@@ -21,12 +21,14 @@ from ..kernels.types import (
     MATERIAL_LEAN_TRANSPARENCY,
     MATERIAL_LOOKS,
     MATERIAL_PLAIN,
+    MATERIAL_STRANDS,
     MATERIAL_SUBSURFACE,
     MATERIAL_TRANSPARENCY,
     Material,
     Materials,
 )
 from .clear_glass import clear_glass
+from .closure_arguments import is_hair_alone
 from .lean import LeanPrograms, has_film, is_lean, is_lean_transparency
 from .object_properties import PROPERTY_PREFIX
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
@@ -204,7 +206,8 @@ class MaterialTable:
             *(all(each & bit for each in flags)
               for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)),
             films=any(has_film(program) for program in programs),
-            exact=any(each & MATERIAL_EXACT for each in flags), hair=any(each & MATERIAL_HAIR for each in flags))
+            **{name: any(each & bit for each in flags) for name, bit in (
+                ("exact", MATERIAL_EXACT), ("hair", MATERIAL_HAIR), ("strands", MATERIAL_STRANDS))})
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
@@ -265,7 +268,7 @@ def material_flags(data: MaterialData) -> int:
     if data.exact is not None:
         flags |= MATERIAL_EXACT | (MATERIAL_LOOKS if looks_within(data.exact) else 0)
     if data.hair is not None:
-        flags |= MATERIAL_HAIR
+        flags |= MATERIAL_HAIR | (MATERIAL_STRANDS if is_hair_alone(data.hair) else 0)
     if data.exact is None and data.hair is None:
         flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
         flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0

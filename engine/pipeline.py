@@ -34,9 +34,10 @@ from .passes.composite import CompositePass
 from .passes.depth_of_field import DepthOfFieldPass, has_blur
 from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
-from .passes.direct_light import DirectLightPass, has_lights
+from .passes.direct_light import DirectLightPass, has_lights, no_light
 from .passes.fog import FOG, FogPass
 from .passes.gbuffer import GBufferPass, shines_plainly
+from .passes.hair import HairPass, scatters_in_hair
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.ray_scene import scatters_below
 from .passes.reflection_denoise import ReflectionDenoisePass
@@ -91,17 +92,17 @@ class Pipeline:
         self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
         self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
         self.gather = ReflectionPass(device, settings.reflections, int(LOBE_DIFFUSE))
+        self.hair = HairPass(device, settings.reflections)
         self.rest_gather = RestGatherPass(device)
         self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))
         self.refraction_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_TRANSMISSION))
         self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
-        self.fog = FogPass(device)
-        self.depth_of_field = DepthOfFieldPass(device)
+        self.fog, self.depth_of_field = FogPass(device), DepthOfFieldPass(device)
         self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
                        self.reflections, self.refraction, self.gather, self.rest_gather, self.composite, self.fog)
-        self.passes += (self.reflection_denoise, self.refraction_denoise, self.depth_of_field)
+        self.passes += (self.hair, self.reflection_denoise, self.refraction_denoise, self.depth_of_field)
         self._size, self._ready, self._recorded = (width, height), [], []
         self._black: DirectLight | None = None
         self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
@@ -165,8 +166,7 @@ class Pipeline:
         graph, self._picture, self._recorded = self._graphs[key]
         self._parity, self._graph = views.parity, graph
         graph.replay(timed)
-        self.times, self.skipped = graph.times or self.times, graph.skipped
-        self.kernel_times = graph.kernel_times
+        self.times, self.skipped, self.kernel_times = graph.times or self.times, graph.skipped, graph.kernel_times
 
     def launches(self) -> list[tuple[str, str]]:
         """Return section and kernel of each launch of the last frame, in its order."""
@@ -183,13 +183,12 @@ class Pipeline:
 
     def counts(self) -> dict[str, int]:
         """Return what the last frame counted. Waits for the device."""
-        pixels = self.gbuffer.width * self.gbuffer.height
-        counts = {"primary rays": pixels}
+        counts = {"primary rays": self.gbuffer.width * self.gbuffer.height}
         if self.direct in self._recorded:
             counts |= self.direct.stats(self._parity)
         counts |= {f"probes {name}": value for name, value in self.probes.stats().items()}
         counts |= {f"cache {name}": value for name, value in self.cache.stats().items()}
-        for each in (self.reflections, self.refraction, self.gather):
+        for each in (self.reflections, self.refraction, self.gather, self.hair):
             if each in self._recorded:
                 counts |= each.stats()
         return counts
@@ -216,6 +215,10 @@ class Pipeline:
             self._leave_out(
                 graph, "refraction", "nothing lets light through or scatters it below its surface", self.refraction,
                 self.refraction_denoise)
+        if scatters_in_hair(scene, self._settings.reflections):
+            self._prepare(self.hair)
+        else:
+            self._leave_out(graph, "hair", "there is none that scatters light", self.hair)
         return needed
 
     def _gathering(self, graph: FrameGraph, resting: bool) -> list[ReflectionPass]:
@@ -233,11 +236,7 @@ class Pipeline:
             self._prepare(self.direct, self.direct_denoise)
             return True
         self._leave_out(graph, "direct light", "there are no lamps, emitters or sun", self.direct, self.direct_denoise)
-        if self._black is None:
-            self._black = DirectLight()
-            for name in ("diffuse", "specular"):
-                setattr(self._black, name, wp.full(
-                    self._size[0] * self._size[1], wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h, device=self.device))
+        self._black = self._black or no_light(self._size[0] * self._size[1], self.device)
         return False
 
     def _needs_fog(self, graph: FrameGraph, parity: int, scene: DeviceScene) -> Fog | None:
@@ -325,6 +324,12 @@ class Pipeline:
                 each.record_rays(
                     graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches)
             branches += (each.name,)
+        if hair := self.hair in self._recorded:
+            with graph.branch(self.hair.name):
+                self.hair.record(
+                    graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest),
+                    self.direct.emitters if lit else None, after=branches)
+            branches += (self.hair.name,)
         with graph.branch(DIRECT):
             direct = (self._record_direct(graph, parity, phase, scene, kernels_scene, views, surfaces, fog) if lit
                       else self._black)
@@ -345,6 +350,9 @@ class Pipeline:
                 each.record_samples(graph, views, self.cache.grid)
                 if not (each.asks_probes or below):
                     shown[each] = self._record_filter(graph, parity, views, surfaces, each)
+        if hair:
+            with graph.branch(self.hair.name):
+                self.hair.record_means(graph, parity, views, surfaces, reprojection, self.cache.grid)
         indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
         for each in traced:
             if each.asks_probes:
@@ -373,7 +381,8 @@ class Pipeline:
                 graph, parity, views, surfaces, reprojection, direct, indirect,
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
                 self.reflections.options if self.reflections in traced else None, gathered, mirrors,
-                keeping_matte=bool(traced),
+                keeping_matte=bool(traced), over=None if not hair else lambda color: self.hair.record_picture(
+                    graph, views, surfaces, self.gbuffer.hits.weight if filtered else None, color),
                 veil=None if fog is None else lambda color: self.fog.record_picture(graph, parity, color))
         if self._blurred:
             self._prepare(self.depth_of_field)

@@ -69,6 +69,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "reflections.bounces": 0,
         "reflections.hit_lighting": False,
         "reflections.subsurface": False,
+        "reflections.hair": False,
         "denoiser.reflection_iterations": 4,
         "denoiser.reflection_kernel": 1.0,
         "denoiser.reflection_ratio": False,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ..kernels import node_codes as codes
 from ..kernels import types as kernel_types
 from ..kernels.rest_blend import TELLING_SAMPLES
-from .closure_arguments import closures
+from .closure_arguments import closures, is_hair_alone
 from .passes.rest import SETTLING
 from .program import Program
 from .report import Report, ReportKind
@@ -34,6 +34,10 @@ class SceneFacts:
     """Refraction (glass, transmission)"""
     scattering: int = 0
     """Light scattered below the surface"""
+    hair: int = 0
+    """Light scattered in hair"""
+    mixed_hair: int = 0
+    """The same, mixed with other shaders"""
     media: int = 0
     """Volumes within surfaces"""
     open_media: int = 0
@@ -61,7 +65,7 @@ def scene_facts(
         world: Its world.
         catchers: Whether there are shadow catchers.
     """
-    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "media": 0,
+    counts = {"anisotropic": 0, "refractive": 0, "scattering": 0, "hair": 0, "mixed_hair": 0, "media": 0,
               "open_media": int(bool(world and world.medium))}
     reflective = []
     for material in materials:
@@ -69,6 +73,8 @@ def scene_facts(
         for fact in {fact for fact in facts if isinstance(fact, str)}:
             counts[fact] += 1
         counts["scattering"] += subsurface_flags(material.program) != 0
+        if material.hair:
+            counts["hair" if is_hair_alone(material.hair) else "mixed_hair"] += 1
         if material.medium:
             counts["open_media" if material.bare else "media"] += 1
         lobes = [fact for fact in facts if isinstance(fact, float)]
@@ -118,6 +124,13 @@ def realtime_approximations(
         where = ", in mirrors and to other surfaces," if settings.reflections.subsurface else ""
         report.add(ReportKind.APPROXIMATED, "", f"subsurface scattering{where} is drawn as diffuse reflection{until}",
                    facts.scattering)
+    if facts.hair:
+        where = " in mirrors, and as other surfaces see it," if settings.reflections.hair else ""
+        report.add(ReportKind.APPROXIMATED, "", f"hair{where} is drawn as a surface of its color{until}", facts.hair)
+    if facts.mixed_hair:
+        report.add(ReportKind.APPROXIMATED, "",
+                   f"hair that is mixed with other shaders is drawn as a surface of its color{until}",
+                   facts.mixed_hair)
     if facts.media:
         report.add(ReportKind.APPROXIMATED, "",
                    f"volumes in surfaces, but for what they absorb and emit in glass, are left out{until}", facts.media)

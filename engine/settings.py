@@ -295,6 +295,9 @@ class ReflectionSettings:
     subsurface: bool = setting(
         True, "Scatter light below surfaces, such as skin and wax, by the profile of Christensen and Burley: for a ray "
         "and a light sample where there are some. Off: they are matte until path tracing takes over")
+    hair: bool = setting(
+        True, "Follow light through hair over several strands, by the lobes of the Principled Hair BSDF. Off: strands "
+        "are surfaces of their color until path tracing takes over, cheaper, and light does not shine through them")
     jitter: bool = setting(
         True, "Jitter look-ups in the cache and the last filter where roughness varies: hides the borders of cells and "
         "blocks, for slightly more noise")

@@ -50,6 +50,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no screen reuse": {"reflections.screen_reuse": False},
     "no lighting of hits": {"reflections.hit_lighting": False},
     "nothing scattered below surfaces": {"reflections.subsurface": False},
+    "hair as surfaces": {"reflections.hair": False},
     "no jitter of reflections": {"reflections.jitter": False},
     "no direct filter": {"denoiser.direct_iterations": 0},
     "no diffuse blur": {"denoiser.diffuse_radius": 0},

@@ -44,7 +44,6 @@ CLOSURE_SHEEN = wp.constant(7)
 CLOSURE_TOON_DIFFUSE = wp.constant(8)
 CLOSURE_TOON_GLOSSY = wp.constant(9)
 CLOSURE_HAIR = wp.constant(10)
-"""Of the path tracer's own programs alone (hair_lobes.py)"""
 
 # Light.kind
 LIGHT_POINT = wp.constant(0)
@@ -82,7 +81,9 @@ MATERIAL_EXACT = wp.constant(512)
 MATERIAL_LOOKS = wp.constant(1024)
 """That program sends rays within the object (node_rays.py)"""
 MATERIAL_HAIR = wp.constant(2048)
-"""Has a program of its own for the path tracer, where hair scatters light: the same end says where"""
+"""Has a program of its own, for the path tracer, of closures of hair (hair_lobes.py): the same end says where"""
+MATERIAL_STRANDS = wp.constant(4096)
+"""Its closures are hair's alone: real-time frames scatter light in it, too"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 

@@ -109,6 +109,7 @@ class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):
         column.prop(reflections, "roughness_diffuse", text="Diffuse from")
         column.prop(reflections, "roughness_blend", text="Blend")
         layout.prop(reflections, "subsurface")
+        layout.prop(reflections, "hair")
 
 
 class BURNISH_RENDER_PT_reflections_method(RealtimePanel, Panel):

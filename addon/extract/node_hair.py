@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Principled Hair BSDF: the path tracer scatters light in hair, frames show a surface of the hair's colour.
+"""Principled Hair BSDF: light is scattered in hair; where only surfaces are known there is one of the hair's colour.
 
 The colour is the albedo of many scatterings by Chiang, Bitterli, Tappan and Burley 2016 (A practical and controllable
 hair and fur model for production path tracing, sec. 4.2); absorption is Cycles' (kernel/closure/bsdf_util.h and
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from ...engine.mesh_features import HAIR
 from ...engine.program import Value
-from ...engine.report import ReportKind
 from .node_graph import Graph
 from .node_inputs import perturbed_normal, strand_direction
 
@@ -28,8 +27,6 @@ E = 2.718281828459045
 DARKEST = 1e-30
 """Colours have a logarithm"""
 
-SHOWN = "scatters light within strands in path tracing; real-time frames show a surface of its color"
-
 
 def principled_hair(graph: Graph, node, weight: Value) -> None:
     """Translate the node: on what isn't hair as a Diffuse BSDF."""
@@ -41,7 +38,6 @@ def principled_hair(graph: Graph, node, weight: Value) -> None:
     graph.wants_hair = True
     if node.model == 'HUANG':
         graph.tell(node, "has the model HUANG, which is drawn as CHIANG")
-    graph.tell(node, SHOWN, ReportKind.INFO)
     roughness, radial = hair_roughness(graph, node)
     if graph.scatters:
         scatter(graph, node, weight, roughness, radial)

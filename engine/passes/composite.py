@@ -103,7 +103,8 @@ class CompositePass:
         direct: Any, irradiance: wp.array, specular_ratio: wp.array | None = None,
         reflection: wp.array | None = None, transmission: wp.array | None = None,
         options: ReflectionOptions | None = None, indirect: wp.array | None = None, mirrors: Mirrors | None = None,
-        keeping_matte: bool = False, veil: Callable[[wp.array], wp.array] | None = None,
+        keeping_matte: bool = False, over: Callable[[wp.array], None] | None = None,
+        veil: Callable[[wp.array], wp.array] | None = None,
     ) -> wp.array:
         """Record the composite and its anti-aliasing; return the picture.
 
@@ -124,6 +125,7 @@ class CompositePass:
                 leaning normals take from it.
             mirrors: What tells how long mirrors have shown what they show; None: there are none.
             keeping_matte: Whether `matte` is wanted.
+            over: Records what replaces the composite in some pixels; None: nothing.
             veil: Records what is before all surfaces: takes the composite and returns what is seen; None: nothing.
 
         Returns:
@@ -145,6 +147,8 @@ class CompositePass:
         for lobe, sums in self._sums.items():
             graph.launch(
                 composite.accumulate_light_passes, count, [views, gbuffer, lights, int(PASS_LOBES[lobe])], [sums])
+        if over is not None:
+            over(color)
         self._seen = seen = color if veil is None else veil(color)
         accumulated, before = self.accumulated.current(parity), self.accumulated.previous(parity)
         graph.launch(

@@ -36,7 +36,7 @@ from ..shadow_rays import make_options, make_shadow_rays
 from ..work_list import make_queue, make_work_list, one_number
 from .layer_rays import record_shadows
 
-__all__ = ["DirectLightPass", "has_lights"]
+__all__ = ["DirectLightPass", "has_lights", "no_light"]
 
 DEBUG_CHANNELS = {
     "direct.diffuse": direct_debug.SHOW_DIFFUSE,
@@ -52,6 +52,14 @@ def has_lights(scene: Scene, split: EnvironmentSplit) -> bool:
     if split.share > 0.0 or scene.lights.lamp_count > 0:
         return True
     return scene.lights.class_count > 0 and bool(scene.lights.weight.numpy()[0] > 0.0)
+
+
+def no_light(count: int, device: str) -> DirectLight:
+    """Return black for a number of pixels, which stands for direct light where nothing is sampled as a light."""
+    black = DirectLight()
+    for name in ("diffuse", "specular"):
+        setattr(black, name, wp.full(count, wp.vec4h(0.0, 0.0, 0.0, 1.0), dtype=wp.vec4h, device=device))
+    return black
 
 
 def light_count(scene: Scene, split: EnvironmentSplit, local_power: float) -> int:

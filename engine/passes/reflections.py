@@ -185,11 +185,10 @@ class ReflectionPass:
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays
         with graph.section(self._section("rays")):
-            graph.launch(reflection_place.place_samples, blocks, [views, options, gbuffer], [self.samples, rays])
+            self._record_places(graph, views, gbuffer, what)
             graph.call(lambda: wp.utils.array_scan(rays.flag, rays.rank, inclusive=True))
             graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
-            graph.launch(
-                self._start, blocks, [views, scene, options, gbuffer], [self.samples, rays, paths, vertices])
+            self._record_directions(graph, views, gbuffer, what)
         follows = {int(LOBE_DIFFUSE): False, int(LOBE_TRANSMISSION): what.mirrors or what.scatters}
         segments = 1 + (self.settings.bounces if follows.get(self.lobe, what.mirrors) else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
@@ -227,6 +226,17 @@ class ReflectionPass:
             self._record_lights(graph, views, what, grid)
             if not self._late:
                 self._record_sums(graph, views, grid)
+
+    def _record_places(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
+        """Record choosing the pixels."""
+        graph.launch(
+            reflection_place.place_samples, self.blocks, [views, self.options, gbuffer], [self.samples, self.rays])
+
+    def _record_directions(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
+        """Record drawing the rays' first directions."""
+        graph.launch(
+            self._start, self.blocks, [views, what.scene, self.options, gbuffer],
+            [self.samples, self.rays, self.paths, self.vertices])
 
     def _record_near_hits(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
         """Record following rays from near hits further: over as many surfaces as there are segments."""

@@ -20,8 +20,10 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 
+from tests.hair_scenes import hair
+
 EVERYTHING = SceneFacts(reflective=(0.1, 0.7, 0.6, 1.0), anisotropic=4, refractive=2, linked_unsampled=5,
-                        scattering=6, media=7)
+                        scattering=6, media=7, hair=8, mixed_hair=9)
 
 BELOW = {"subsurface_method": "WALK", "subsurface_radius": 0.1}
 
@@ -90,12 +92,21 @@ def test_each_approximation_is_named_once() -> None:
     """Name every approximation once, with the number of materials."""
     entries = realtime_approximations(realtime(), EVERYTHING, aperture_radius=0.01).entries()
     assert all(entry.kind == ReportKind.APPROXIMATED and entry.owner == "" for entry in entries)
-    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5, 6, 7]
+    assert sorted(entry.count for entry in entries) == [1, 2, 3, 4, 5, 6, 7, 8, 9]
     text = " ".join(entry.message for entry in entries)
     for word in ("reflections", "anisotropic", "refracted", "not linked to", "depth of field", "subsurface scattering",
-                 "volumes"):
+                 "volumes", "hair in mirrors", "hair that is mixed"):
         assert word in text, word
-    assert text.count("until the picture has rested for 12 frames") == 7
+    assert text.count("until the picture has rested for 12 frames") == 9
+
+
+def test_hair_follows_its_setting() -> None:
+    """Count materials of hair, and say whether frames scatter light in it."""
+    facts = scene_facts([hair(), hair(mixed=True), material("DIFFUSE")])
+    assert facts.hair == 1 and facts.mixed_hair == 1
+    for on, words in ((True, "hair in mirrors"), (False, "hair is drawn as a surface")):
+        entries = realtime_approximations(realtime(reflections=ReflectionSettings(hair=on)), facts, 0.0).entries()
+        assert any(entry.message.startswith(words) for entry in entries)
 
 
 def test_depth_of_field_follows_its_setting() -> None:
@@ -146,4 +157,4 @@ def test_remedy_fits_the_settings(samples: int, denoiser: dict, words: str) -> N
     """Tell when path tracing takes over, or what to change where it never does."""
     settings = dataclasses.replace(realtime(samples), denoiser=DenoiserSettings(**denoiser))
     entries = realtime_approximations(settings, EVERYTHING, 0.01).entries()
-    assert len(entries) == 7 and all(words in entry.message for entry in entries), entries
+    assert len(entries) == 9 and all(words in entry.message for entry in entries), entries

@@ -15,6 +15,7 @@ from burnish.kernels.cache_spread import SWEEP_FRAMES
 
 from tests import scenes
 from tests.glossy_scenes import glass, glossy, metal
+from tests.hair_scenes import hair
 from tests.light_scenes import look_at
 
 SIZE = (24, 16)
@@ -120,6 +121,10 @@ FEATURES = {
         "walks below surfaces", ball(wax()), ball(MATTE),
         ("note_scattering", "enter_surfaces", "walk_below", "settle_walks", "go_on_outside", "add_seen_light"),
         ("Refraction walks", "Refraction denoising"), ("refraction rays",)),
+    "light in hair": Feature(
+        "hair", ball(hair()), ball(MATTE),
+        ("find_hair", "enter_hair", "scatter_in_hair", "leave_hair", "average_hair", "spread_hair", "show_hair"),
+        ("Hair rays", "Hair denoising"), ("hair rays",)),
     "light of other shapes": Feature(
         "lobes of other shapes", ball(scenes.material("DIFFUSE", color=0.5, roughness=0.5)), ball(MATTE),
         ("shape_direct",)),
@@ -200,12 +205,12 @@ def test_what_a_scene_lacks_has_no_buffers():
     """Give buffers to passes that the scene needs alone."""
     pipeline = open_session(room(lights=()))._realtime.pipeline
     idle = (pipeline.reflections, pipeline.reflection_denoise, pipeline.refraction, pipeline.refraction_denoise,
-            pipeline.direct, pipeline.direct_denoise, pipeline.fog)
+            pipeline.direct, pipeline.direct_denoise, pipeline.fog, pipeline.hair)
     assert [each.width for each in idle] == [0] * len(idle)
     assert pipeline.gbuffer.width == SIZE[0] and pipeline.gather.width == SIZE[0]
     pipeline = open_session(room(glass(0.0)))._realtime.pipeline
     assert all(each.width == SIZE[0] for each in pipeline.passes
-               if each not in (pipeline.fog, pipeline.depth_of_field))
+               if each not in (pipeline.fog, pipeline.hair, pipeline.depth_of_field))
     assert pipeline.fog.width == 0
 
 
