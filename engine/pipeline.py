@@ -382,7 +382,7 @@ class Pipeline:
                 self.probes.specular_ratio, shown.get(self.reflections), shown.get(self.refraction),
                 self.reflections.options if self.reflections in traced else None, gathered, mirrors,
                 keeping_matte=bool(traced), over=None if not hair else lambda color: self.hair.record_picture(
-                    graph, views, surfaces, self.gbuffer.hits.weight if filtered else None, color),
+                    graph, surfaces, self.gbuffer.hits.weight if filtered else None, color),
                 veil=None if fog is None else lambda color: self.fog.record_picture(graph, parity, color))
         if self._blurred:
             self._prepare(self.depth_of_field)

@@ -30,7 +30,7 @@ from .gbuffer import GBuffer, has_surface, load_surface
 from .light_candidate import choose, light_classes, replay
 from .light_linking import kinds_lit_at
 from .reprojection import Reprojection, has_tap, known_taps, tap_pixel, tap_weight
-from .sampling import STEP_X, STEP_Y, fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
+from .sampling import STEP_REFILL, STEP_X, STEP_Y, fraction, hash_combine, hashed_unit, pixel_seed_of, sample_pair
 from .types import Scene
 from .view import View
 from .wide_loads import load_previous_view, load_view
@@ -43,9 +43,6 @@ DIMENSION_PICK = wp.constant(64)
 DIMENSION_POINT = wp.constant(66)
 DIMENSION_RESAMPLE = wp.constant(67)
 """x: which candidate stays"""
-
-# Step from one candidate's number for its light to the next's: the golden ratio's.
-STEP_REFILL = wp.constant(0.6180340)
 
 # Frames at rest after which every frame draws anew: independent samples converge faster.
 REUSE_REST = wp.constant(16.0)

@@ -34,7 +34,7 @@ from .media import NO_MEDIUM, STACK_SIZE, Inside, mixture_of, passing, phase_val
 from .media_distance import Pull, pull_of, pulled_density, pulled_distance
 from .paths import Paths
 from .probe_rays import ProbeRays
-from .sampling import STEP_X, STEP_Y, fraction, pixel_seed_of, sample_pair, sample_sphere
+from .sampling import STEP_REFILL, STEP_X, STEP_Y, fraction, pixel_seed_of, sample_pair, sample_sphere
 from .types import VISIBLE_VOLUME, Scene
 from .view import View, eye_position, film_position
 
@@ -49,7 +49,6 @@ DIMENSION_DIRECTION = wp.constant(5)
 DIMENSION_DEPTH = wp.constant(6)
 DIMENSION_PULL = wp.constant(7)
 STREAM = wp.constant(0x46524F58)
-STEP_REFILL = wp.constant(0.6180340)
 NEAR_LIGHT = wp.constant(0.1)
 """Distance to a light, in widths of a cell, below which its light counts as from there: cells are means over places of
 which few are as near"""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .composite import light_or_none
 from .gbuffer import GBuffer
 from .geometry_math import PI, is_finite3
 from .long_mean import (
@@ -253,9 +254,8 @@ def spread_hair(
     part = wp.min(known, WELL_KNOWN) * 0.1875
     sum = unpack_mean(light[pixel]) * part
     total = part
-    rest_part = part
-    rest_sum = unpack_mean(rest[pixel]) * rest_part
-    rest_total = rest_part
+    rest_sum = unpack_mean(rest[pixel]) * part
+    rest_total = part
     rest_apart = SPARK_FRAMES / (SPARK_FRAMES + known)
     j = int(-1)
     while j <= 1:
@@ -291,7 +291,6 @@ def spread_hair(
 def show_hair(
     # In:
     first: int,
-    views: wp.array[View],
     gbuffer: GBuffer,
     shown: wp.array[wp.uint8],
     weight: wp.array[wp.vec3],
@@ -307,9 +306,7 @@ def show_hair(
     c = unpack_mean(light[pixel]) + unpack_mean(rest[pixel])
     if weight.shape[0] > 0:
         c = wp.cw_mul(c, weight[pixel])
-    e = rgb(from_half(gbuffer.emission[pixel]))
-    if is_finite3(e):
-        c += e
+    c += light_or_none(gbuffer.emission[pixel])
     before = from_half(color_out[pixel])
     c = wp.vec3(wp.min(c[0], HALF_MAX), wp.min(c[1], HALF_MAX), wp.min(c[2], HALF_MAX))
     color_out[pixel] = to_half(rgba(c, before[3]))

@@ -29,7 +29,7 @@ from .nodes import run
 from .paths import ENDED, PENDING_NONE, PENDING_TRIANGLE, Paths, load_hit, store_hit
 from .reflection_rays import ReflectionRays, find_start, gather, send_ray, start_ray
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples
-from .sampling import STEP_X, STEP_Y, fraction, hash_combine, sample_number, sample_pair
+from .sampling import STEP_REFILL, STEP_X, STEP_Y, fraction, hash_combine, sample_number, sample_pair
 from .tracing import FOOTPRINT_SCALE
 from .types import (
     CLOSURE_HAIR,
@@ -131,7 +131,7 @@ def light_strand(
         step = float(k)
         choice = choose(
             scene, split, classes, point.position,
-            wp.vec2(fraction(which[0] + step / float(CANDIDATES)), fraction(which[1] + step * 0.6180340)),
+            wp.vec2(fraction(which[0] + step / float(CANDIDATES)), fraction(which[1] + step * STEP_REFILL)),
             wp.vec2(fraction(place[0] + step * STEP_X), fraction(place[1] + step * STEP_Y)))
         if choice.chance > 0.0:
             s = replay(scene, split, emitters, point.position, choice.candidate)

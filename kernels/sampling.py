@@ -35,6 +35,8 @@ BITS_85EBCA6B = wp.constant(wp.uint32(0x85EBCA6B))
 # Steps from one point of a sequence of pairs to the next: 1 / g and 1 / g^2 of the plastic number g (Roberts 2018).
 STEP_X = wp.constant(0.7548777)
 STEP_Y = wp.constant(0.5698403)
+# The same of one number, as of those that choose lights: the golden ratio's.
+STEP_REFILL = wp.constant(0.6180340)
 
 # The largest float that numbers rescaled to [0, 1) may reach.
 BELOW_ONE = wp.constant(0.9999999)

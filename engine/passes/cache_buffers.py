@@ -33,7 +33,7 @@ from ..work_list import WorkList
 from .layer_rays import record_shadow_layers
 
 __all__ = [
-    "count_rays", "make_control", "make_grid", "make_rays", "record_insertion", "record_materials",
+    "count_rays", "make_control", "make_grid", "make_paths", "make_rays", "record_insertion", "record_materials",
     "record_shadow_rays", "record_sums", "threads_race",
 ]
 
@@ -47,6 +47,9 @@ LAYER_ARRAYS = {
     "layer_t": float, "layer": wp.vec2i, "layer_barycentrics": wp.vec2,
 }
 """For scenes with triangles that need a test per hit"""
+STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2,
+                "receiver": int}
+"""What rays over mirrors need in every scene; the rest of LAYER_ARRAYS is for scenes with layers alone"""
 UNUSED_ARRAYS = {
     "closure": Closure, "surface_normal": wp.vec4, "surface_position": wp.vec4, "surface_uv": wp.vec4,
     "surface_emission": wp.vec3, "environment": wp.vec3, "receiver": int,
@@ -111,6 +114,16 @@ def make_rays(count: int, bounces: int, filtered: bool, device: str) -> tuple[Pa
             setattr(owner, name, wp.zeros(max(size, 1), dtype=dtype, device=device))
     vertices.cell.fill_(int(NO_CELL))
     return paths, vertices
+
+
+def make_paths(count: int, filtered: bool, device: str) -> Paths:
+    """Return arrays for `count` rays that go on over surfaces; `filtered`: some triangles need a test per hit."""
+    paths = Paths()
+    for arrays, size in ((RAY_ARRAYS, count), (UNUSED_ARRAYS, 1), (LAYER_ARRAYS, count if filtered else 1),
+                         (STATE_ARRAYS, count)):
+        for name, dtype in arrays.items():
+            setattr(paths, name, wp.zeros(size, dtype=dtype, device=device))
+    return paths
 
 
 def count_rays(

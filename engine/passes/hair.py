@@ -13,7 +13,6 @@ from ...kernels.gbuffer import GBuffer
 from ...kernels.hair_light import HairHistory
 from ...kernels.hair_walk import HairWalks
 from ...kernels.hash_grid import HashGrid
-from ...kernels.paths import Paths
 from ...kernels.reflection_types import LOBE_TRANSMISSION
 from ...kernels.reprojection import Reprojection
 from ..device_scene import DeviceScene
@@ -22,9 +21,9 @@ from ..history import History
 from ..settings import ReflectionSettings
 from ..structures import is_flat
 from ..work_list import make_work_list
-from .cache_buffers import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS, record_shadow_rays
+from .cache_buffers import make_paths, record_shadow_rays
 from .ray_scene import RayScene
-from .reflections import STATE_ARRAYS, ReflectionPass
+from .reflections import ReflectionPass
 
 __all__ = ["HairPass", "scatters_in_hair"]
 
@@ -79,10 +78,8 @@ class HairPass(ReflectionPass):
         """Allocate the shadow rays of strands."""
         if self._lit_for == filtered:
             return
-        self._lit_for, self.lit_strands, count = filtered, Paths(), self.blocks
-        for arrays, size in ((RAY_ARRAYS, count), (UNUSED_ARRAYS, 1), (LAYER_ARRAYS, count if filtered else 1),
-                             (STATE_ARRAYS, count)):
-            self._fill(self.lit_strands, arrays, size)
+        self._lit_for, count = filtered, self.blocks
+        self.lit_strands = make_paths(count, filtered, self.device)
         self._under_way, self._pending = (make_work_list(count, self.device) for _ in range(2))
         self.walks = self._fill(HairWalks(), {"kept": wp.vec3, "leaves": wp.uint8}, count)
         self._strand_layers = make_work_list(count if filtered else 1, self.device)
@@ -146,10 +143,8 @@ class HairPass(ReflectionPass):
                 lights = room
             self._lights = lights
 
-    def record_picture(
-        self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, weight: wp.array | None, color: wp.array,
-    ) -> None:
+    def record_picture(self, graph: FrameGraph, gbuffer: GBuffer, weight: wp.array | None, color: wp.array) -> None:
         """Record putting hair into a composite; `weight`: vec3 a pixel of transparent layers before it, or None."""
         graph.launch(
             hair_light.show_hair, self.width * self.height,
-            [views, gbuffer, self.shown, self._no_weights if weight is None else weight, *self._lights], [color])
+            [gbuffer, self.shown, self._no_weights if weight is None else weight, *self._lights], [color])

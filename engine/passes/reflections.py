@@ -41,7 +41,6 @@ from ...kernels.cache_rays import Vertices
 from ...kernels.composite import Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
-from ...kernels.paths import Paths
 from ...kernels.reflection_rays import GATHERED, REFLECTED, REFRACTED, ReflectionRays
 from ...kernels.reflection_types import (
     LOBE_DIFFUSE,
@@ -57,11 +56,9 @@ from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
     BOUNCE_ARRAYS,
-    LAYER_ARRAYS,
-    RAY_ARRAYS,
-    UNUSED_ARRAYS,
     VERTEX_ARRAYS,
     count_rays,
+    make_paths,
     record_insertion,
     record_shadow_rays,
     record_sums,
@@ -75,10 +72,6 @@ from .walks import WalkPass
 __all__ = ["STRIDES", "RayScene", "ReflectionPass", "reflection_options"]
 
 SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
-
-STATE_ARRAYS = {"seed": wp.uint32, "index": wp.uint32, "throughput": wp.vec3, "kind": int, "cone": wp.vec2,
-                "receiver": int}
-"""What rays over mirrors need in every scene; the rest of LAYER_ARRAYS is for scenes with layers alone"""
 
 LOBES = {
     int(LOBE_REFLECTION): ("reflections", "Reflection", int(REFLECTED), reflection_start.start_reflections),
@@ -140,11 +133,7 @@ class ReflectionPass:
             return
         self._room = (self.blocks, filtered, glossy)
         count = self.blocks
-        self.paths, self.vertices = Paths(), Vertices()
-        for arrays, size in (
-                (RAY_ARRAYS, count), (UNUSED_ARRAYS, 1), (LAYER_ARRAYS, count if filtered else 1),
-                (STATE_ARRAYS, count)):
-            self._fill(self.paths, arrays, size)
+        self.paths, self.vertices = make_paths(count, filtered, self.device), Vertices()
         self._fill(self.vertices, VERTEX_ARRAYS, count)
         self._fill(self.vertices, BOUNCE_ARRAYS, 1)
         self._fill(self.rays, {"block": int, "found": wp.uint8}, count)
