@@ -48,7 +48,7 @@ BLOCK_SIZES = dict.fromkeys(
      "subsurface_walk", "media_march", "media_scatter", "media_shadows", "reflection_media",
      "volume_march", "volume_scatter", "volume_shadows", "direct_temporal",
      "antialias", "clear_tracing", "defocus_layers", "defocus_gather", "depth_of_field",
-     "reflection_upscale", "fog_blend", "fog_composite", "fog_rays", "fog_samples"),
+     "reflection_upscale", "fog_blend", "fog_cells", "fog_composite", "fog_rays", "fog_samples"),
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import warp as wp
 from ..kernels.media import Media, Medium, Phase
 from ..kernels.types import LIGHT_SUN
 from ..kernels.volume_grids import Volumes
-from .fog import FogData, fog_data
+from .fog import Bodies, FogData, fog_data
 from .history import copy_struct
 from .program import Program
 from .volume_program import VaryingData
@@ -59,6 +60,23 @@ class MediumData:
 
     def __bool__(self) -> bool:
         return any((*self.extinction, *self.emission)) or self.varying is not None
+
+    @property
+    def varies(self) -> bool:
+        """Return whether it does in space."""
+        return self.varying is not None or self.in_grids is not None
+
+    @property
+    def thickness(self) -> tuple[float, float]:
+        """Return how often light is scattered over a metre, and how often as it were to any direction: about."""
+        # What goes straight on is hardly scattered.
+        return (max((max(phase.scattering) for phase in self.phases), default=0.0),
+                max((max(phase.scattering) * (1.0 - max(phase.anisotropy, 0.0)) for phase in self.phases), default=0.0))
+
+    def thickness_of(self, extinction: float) -> tuple[float, float]:
+        """Return the same where it varies and has a largest extinction [1/m]."""
+        mean = sum(self.extinction) / 3.0
+        return tuple(x * extinction / mean if mean > 0.0 else extinction for x in self.thickness)
 
     @property
     def programs(self) -> list[Program]:
@@ -122,11 +140,23 @@ def scene_media(source: DeviceScene, images_changed: bool = False) -> SceneMedia
     fogged = bool(world) or bool(walls.any())
     if fogged:
         lit = (middle, media.reach) if media.reach > 0.0 else ((0.0, 0.0, 0.0), source.radius)
-        mediums = [medium for place, medium in places.items() if place in alone] + ([world] if world else [])
+        bodies = Bodies(source.low[walls], source.high[walls], _thickness(source, found)[
+            table.material_set_index[walls]] if walls.any() else np.zeros((0, 2)))
         fog = fog_data(
-            media, alone, world or None, source.low[walls], source.high[walls], lit, source.radius, mediums, fog,
-            varies=volumes is not None)
+            media, alone, world or None, bodies, lit, source.radius,
+            source.volumes.thickness.get(None, world.thickness if world else (0.0, 0.0)), fog, volumes)
     return SceneMedia(media, frames if kept else None, fog if fogged else None, made_for, volumes)
+
+
+def _thickness(source: DeviceScene, found: Mapping[Hashable, MediumData]) -> np.ndarray:
+    """Return the thickness of what has no surface, as `MediumData` has it, by set of materials: float64 [n, 2]."""
+    rows = np.zeros((len(source.table.material_sets), 2))
+    for row, keys in zip(rows, source.table.material_sets, strict=True):
+        for key in keys:
+            if key in found and source.materials[key].bare:
+                here = source.volumes.thickness.get(source.material_table.index(key), found[key].thickness)
+                row[:] = np.maximum(row, np.nan_to_num(np.array(here)))
+    return rows
 
 
 def without(of_material: wp.array, places: list[int]) -> wp.array:

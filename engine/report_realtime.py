@@ -136,7 +136,7 @@ def realtime_approximations(
                    f"volumes in surfaces, but for what they absorb and emit in glass, are left out{until}", facts.media)
     if facts.open_media:
         report.add(ReportKind.APPROXIMATED, "",
-                   f"light that fog scatters more than once is coarse{until}; dense fog is path-traced",
+                   f"light that fog scatters more than once is coarse{until}; the densest fog is path-traced",
                    facts.open_media)
     if facts.linked_unsampled:
         report.add(ReportKind.APPROXIMATED, "",

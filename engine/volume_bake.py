@@ -11,7 +11,7 @@ import warp as wp
 
 from ..kernels import types
 from ..kernels.volume_bake import VolumeTable, bake_volume, bound_blocks
-from ..kernels.volume_grids import BLOCK, Field, VolumeGrid
+from ..kernels.volume_grids import BLOCK, WIDE, Field, VolumeGrid
 from .device import launch_bands
 from .materials import single_program
 from .object_properties import PROPERTY_PREFIX
@@ -111,7 +111,9 @@ class BakedGrid:
     values: wp.array
     """float [channels * cells]"""
     bounds: wp.array
-    """vec2 [blocks]"""
+    """vec2; of blocks, wide blocks and all, as of kernels.volume_grids.Volumes"""
+    thickness: float = 0.0
+    """The largest extinction of a block where there is something, in the mean by as much as there is [1/m]"""
 
 
 @dataclass(eq=False)
@@ -222,7 +224,22 @@ class Oven:
         blocks = int(np.prod(box.blocks))
         bounds = wp.zeros(blocks, dtype=wp.vec2, device=self.device)
         launch_bands(bound_blocks, 0, blocks, [grid, fields, values], [bounds])
-        return BakedGrid(box, values, bounds)
+        held = bounds.numpy()
+        extinction = held[:, 0].astype(np.float64)
+        return BakedGrid(
+            box, values, wp.array(with_wide(held, box.blocks), dtype=wp.vec2, device=self.device),
+            float((extinction * extinction).sum() / max(extinction.sum(), 1e-300)))
+
+
+def with_wide(bounds: np.ndarray, blocks: tuple[int, int, int]) -> np.ndarray:
+    """Return blocks' bounds [n, 2] with those of wide blocks and of all behind them."""
+    x, y, z = blocks
+    ratio = int(WIDE) // int(BLOCK)
+    sides = [-(-count // ratio) for count in (z, y, x)]
+    padded = np.zeros([ratio * side for side in sides] + [2], np.float32)
+    padded[:z, :y, :x] = bounds.reshape(z, y, x, 2)
+    wide = padded.reshape(sides[0], ratio, sides[1], ratio, sides[2], ratio, 2).max((1, 3, 5)).reshape(-1, 2)
+    return np.concatenate([bounds, wide, bounds.max(0, keepdims=True)])
 
 
 def bake_boxes(oven: Oven, low: np.ndarray, high: np.ndarray, cells_max: int) -> BakedGrid:

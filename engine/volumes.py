@@ -60,6 +60,9 @@ class SceneVolumes:
         self.cuda = wp.get_device(device).is_cuda
         self._baked: dict[Hashable, BakedGrid] = {}
         self._joined: tuple[list[BakedGrid], wp.array, wp.array] | None = None
+        self._rows: dict[str, tuple[np.ndarray, wp.array]] = {}
+        self.thickness: dict[int | None, tuple[float, float]] = {}
+        """By material, None for the world, as `MediumData.thickness` has it, of the thickest of its grids"""
 
     def update(
         self, source: DeviceScene, places: Mapping[int, tuple[int, MediumData]], world: MediumData | None,
@@ -78,11 +81,12 @@ class SceneVolumes:
         if not bodies and outside is None:
             self._baked.clear()
             self._joined = None
+            self.thickness = {}
             return None
         if images_changed:
             self._baked = {key: grids for key, grids in self._baked.items() if not any(
                 part.program is not None and part.program.images for part in key[0].fields)}
-        before, self._baked = self._baked, {}
+        before, self._baked, self.thickness = self._baked, {}, {}
         chosen = []
         cells = self._cells(bodies)
         for body in bodies:
@@ -90,10 +94,13 @@ class SceneVolumes:
             if key not in self._baked:
                 self._baked[key] = before.get(key) or self._bake(source, body, cells)
             chosen.append(self._baked[key])
+            here = places[body.material][1].thickness_of(chosen[-1].thickness * body.density)
+            self.thickness[body.material] = max(here, self.thickness.get(body.material, here))
         if outside is not None:
             key = (outside, "world", source.radius, tuple(source.origin), self._middle(source))
             self._baked[key] = before.get(key) or self._bake_world(source, outside)
             chosen.append(self._baked[key])
+            self.thickness[None] = world.thickness_of(chosen[-1].thickness)
         return self._struct(source, bodies, chosen, outside, places)
 
     def _bodies(self, source: DeviceScene, places: Mapping[int, tuple[int, MediumData]]) -> list[_Body]:
@@ -217,16 +224,26 @@ class SceneVolumes:
             if number < len(bodies):
                 grid_of[in_media[bodies[number].medium] + bodies[number].instance] = number
         out = Volumes()
-        out.places = wp.array(in_media, dtype=int, device=self.device)
-        out.grid_of = wp.array(grid_of, dtype=int, device=self.device)
-        out.grids = wp.array(rows, dtype=VolumeGrid, device=self.device)
+        out.places, out.grid_of = self._held("places", in_media, int), self._held("grid_of", grid_of, int)
+        out.grids = self._held("grids", rows, VolumeGrid)
         held = np.zeros(max(len(fields), 1), Field.numpy_dtype())
         for row, (color, channel, wide) in zip(held, fields, strict=False):
             row["color"], row["channel"], row["wide"] = color, channel, wide
-        out.fields = wp.array(held, dtype=Field, device=self.device)
+        out.fields = self._held("fields", held, Field)
         out.values, out.bounds = self._joined[1], self._joined[2]
         out.world = len(bodies) if outside is not None else -1
         return out
+
+    def _held(self, name: str, rows: np.ndarray, dtype: type) -> wp.array:
+        """Return rows on the device, where they were before if there are as many: frames have recorded that place."""
+        before = self._rows.get(name)
+        if before is not None and len(before[0]) == len(rows):
+            if before[0].tobytes() != rows.tobytes():
+                before[1].assign(rows)
+            self._rows[name] = rows.copy(), before[1]
+        else:
+            self._rows[name] = rows.copy(), wp.array(rows, dtype=dtype, device=self.device)
+        return self._rows[name][1]
 
     def _to_scene(self, source: DeviceScene, instance: int) -> np.ndarray:
         """Return the matrix from scene coordinates to what an object's box is in: float64 [4, 4]."""

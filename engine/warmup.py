@@ -53,6 +53,7 @@ from ..kernels import (
     flat_tracing,
     flatten,
     fog_blend,
+    fog_cells,
     fog_composite,
     fog_rays,
     fog_samples,
@@ -162,7 +163,7 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    fog_blend, fog_composite, fog_rays, fog_samples,
+    fog_blend, fog_cells, fog_composite, fog_rays, fog_samples,
     film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
     cluster_tree, tree_reinsertion, triangle_split, wide_bvh_build, wide_bvh_edit, wide_instances_edit, opacity_maps,
     opacity_answers, decided_instances, decided_layers, clear_tracing, lobe_moments,

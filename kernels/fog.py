@@ -12,32 +12,37 @@ from __future__ import annotations
 import warp as wp
 
 from .filter import step_past
-from .geometry_math import PI, max_component, mean_component
+from .geometry_math import PI
 from .intersect import MISS, closest_layer, surface_point
 from .lamp_hit import FAR
 from .media import (
     NO_MEDIUM,
-    STACK_SIZE,
     Inside,
     Media,
-    Mixture,
     cross,
-    emitted,
-    mixture_of,
     nowhere,
-    passing,
     place_in,
 )
 from .sampling import hash_combine, hashed_unit
 from .subsurface import phase
 from .types import Scene
+from .volume_grids import Volumes
 
 MOMENTS = wp.constant(6)
 """Words of a cell: (mean, moments in x, y, z) of each channel for light from lights, then for all other"""
 WALLS_MAX = wp.constant(16)
 """Boundaries at most that a ray goes through"""
-LEAST_DEPTH = wp.constant(1.0e-3)
-"""Optical depth below which places on a stretch are drawn evenly"""
+
+
+@wp.struct
+class FogGrid:
+    """A grid of cells."""
+
+    middle: wp.vec3
+    cell: float
+    """Width of its cells [m]"""
+    room: float
+    """How far it follows the camera from `middle`, along each axis [m]"""
 
 
 @wp.struct
@@ -46,6 +51,9 @@ class Fog:
 
     media: Media
     """The world's medium, and those of boundaries without a surface; others are not in it"""
+    volumes: Volumes
+    varying: int
+    """1: some of it varies in space, as `volumes` tells"""
     walls: int
     """1: there are boundaries"""
     even: int
@@ -63,8 +71,9 @@ class Fog:
     """Cells along a side of each grid, a power of 2"""
     levels: int
     """Grids"""
-    cell: float
-    """Width of the finest cells [m]"""
+    own: int
+    """How many of these, the first ones, are of bodies: others know nothing of what is in them"""
+    grids: wp.array[FogGrid]
     middle: wp.vec3
     radius: float
     """Sphere about all that lights or is lit [m]; the widest grid covers it"""
@@ -74,29 +83,18 @@ class Fog:
     """Slot of the first cell's ray among the radiance cache's: each cell has one"""
 
 
-@wp.struct
-class FogPassage:
-    """What fog does on a way."""
-
-    passing: wp.vec3
-    """Share of light that gets through"""
-    light: wp.vec3
-    """What the fog adds, unexposed"""
-
-
 @wp.func
 def cell_width(fog: Fog, level: int) -> float:
     """Return the width of a level's cells [m]."""
-    return fog.cell * float(1 << level)
+    return fog.grids[level].cell
 
 
 @wp.func
 def first_cell(fog: Fog, eye: wp.vec3, level: int, axis: int) -> int:
     """Return the lowest coordinate [cells] of a level's grid: about the camera, as far as the widest reaches."""
-    width = cell_width(fog, level)
-    room = wp.max(0.5 * float(fog.side) * (cell_width(fog, fog.levels - 1) - width), 0.0)
-    at = fog.middle[axis] + wp.clamp(eye[axis] - fog.middle[axis], -room, room)
-    return int(wp.floor(at / width + 0.5)) - fog.side / 2
+    grid = fog.grids[level]
+    at = grid.middle[axis] + wp.clamp(eye[axis] - grid.middle[axis], -grid.room, grid.room)
+    return int(wp.floor(at / grid.cell + 0.5)) - fog.side / 2
 
 
 @wp.func
@@ -133,6 +131,19 @@ def known_cell(fog: Fog, eye: wp.vec3, level: int, place: wp.vec3) -> int:
     if not fog.count[cell] > 0.0 or fog.key[cell] != cell_key(level, x, y, z):
         return -1
     return cell
+
+
+@wp.func
+def is_own(fog: Fog, eye: wp.vec3, position: wp.vec3) -> bool:
+    """Return whether a place is in a body's own grid."""
+    for level in range(fog.own):
+        inside = bool(True)
+        for c in range(3):
+            k = int(wp.floor(position[c] / cell_width(fog, level))) - first_cell(fog, eye, level, c)
+            inside = inside and k >= 0 and k < fog.side
+        if inside:
+            return True
+    return False
 
 
 @wp.func
@@ -198,27 +209,6 @@ def scattered_light(
             light = light + scattered_part(fog.light[word][0], fog.towards[word], direction, anisotropy)
         out[c] = light * share
     return out
-
-
-@wp.func
-def mean_anisotropy(media: Media, inside: Inside) -> float:
-    """Return the mean cosine of scattering of all that is at a place."""
-    total = float(0.0)
-    weighed = float(0.0)
-    for i in range(STACK_SIZE + 1):
-        index = media.world
-        if i < STACK_SIZE:
-            index = inside.media[i]
-        if index != NO_MEDIUM:
-            medium = media.media[index]
-            k = int(0)
-            while k < medium.count:
-                part = media.phases[medium.first + k]
-                weight = mean_component(part.scattering)
-                total = total + weight
-                weighed = weighed + weight * part.anisotropy
-                k = k + 1
-    return weighed / wp.max(total, 1.0e-36)
 
 
 @wp.func
@@ -293,84 +283,3 @@ def next_wall(
     wall.t = end
     wall.look = end
     return wall
-
-
-@wp.func
-def passing_between(
-    scene: Scene, fog: Fog, origin: wp.vec3, direction: wp.vec3, length: float, kind: int,
-) -> wp.vec3:
-    """Return the share of light that fog lets through on a way."""
-    inside = fog_about(scene, fog, origin)
-    share = wp.vec3(1.0, 1.0, 1.0)
-    start = float(0.0)
-    look = float(0.0)
-    step = int(0)
-    while look < length and step < WALLS_MAX:
-        wall = next_wall(scene, fog, origin, direction, look, length, kind, inside)
-        share = wp.cw_mul(share, passing(mixture_of(fog.media, inside).extinction, wall.t - start))
-        inside = wall.inside
-        start = wall.t
-        look = wall.look
-        step = step + 1
-    return share
-
-
-@wp.func
-def drawn_distance(extinction: float, length: float, u: float) -> wp.vec2:
-    """Draw a distance on a stretch by what gets through; return it and one over its density."""
-    depth = extinction * length
-    if depth < LEAST_DEPTH:
-        return wp.vec2(u * length, length)
-    share = 1.0 - wp.exp(-depth)
-    t = wp.min(-wp.log(1.0 - u * share) / extinction, length)
-    return wp.vec2(t, share / (extinction * wp.exp(-extinction * t)))
-
-
-@wp.func
-def stretch_light(
-    fog: Fog, eye: wp.vec3, origin: wp.vec3, direction: wp.vec3, inside: Inside, mixture: Mixture, length: float,
-    places: int, seed: wp.uint32,
-) -> wp.vec3:
-    """Return what a stretch of fog adds to a ray at its begin: an estimate from some places of what it scatters."""
-    light = emitted(mixture, length)
-    if max_component(mixture.scattering) > 0.0:
-        anisotropy = wp.where(fog.even == 1, 0.0, mean_anisotropy(fog.media, inside))
-        u = hashed_unit(seed, wp.uint32(0))
-        share = 1.0 / float(places)
-        k = int(0)
-        while k < places:
-            drawn = drawn_distance(mean_component(mixture.extinction), length, (float(k) + u) * share)
-            scattered = scattered_light(
-                fog, eye, origin + direction * drawn[0], direction, anisotropy, 1, hash_combine(seed, wp.uint32(k)))
-            weight = wp.cw_mul(mixture.scattering, passing(mixture.extinction, drawn[0])) * (drawn[1] * share)
-            light = light + wp.cw_mul(weight, scattered)
-            k = k + 1
-    return light
-
-
-@wp.func
-def through_fog(
-    scene: Scene, fog: Fog, eye: wp.vec3, origin: wp.vec3, direction: wp.vec3, length: float, kind: int,
-    places: int, seed: wp.uint32,
-) -> FogPassage:
-    """Return what fog does to light that comes to a ray's origin from its end; each stretch asks so many places."""
-    out = FogPassage()
-    out.passing = wp.vec3(1.0, 1.0, 1.0)
-    inside = fog_about(scene, fog, origin)
-    start = float(0.0)
-    look = float(0.0)
-    step = int(0)
-    while look < length and step < WALLS_MAX:
-        wall = next_wall(scene, fog, origin, direction, look, length, kind, inside)
-        mixture = mixture_of(fog.media, inside)
-        if max_component(mixture.extinction) + max_component(mixture.emission) > 0.0:
-            light = stretch_light(
-                fog, eye, origin + direction * start, direction, inside, mixture, wall.t - start,
-                places, hash_combine(seed, wp.uint32(step)))
-            out.light = out.light + wp.cw_mul(out.passing, light)
-            out.passing = wp.cw_mul(out.passing, passing(mixture.extinction, wall.t - start))
-        inside = wall.inside
-        start = wall.t
-        look = wall.look
-        step = step + 1
-    return out

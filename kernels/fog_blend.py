@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that take samples into the means of froxels, which follow the camera, and into the fog's cells."""
+"""Kernels that take samples into the means of froxels, which follow the camera."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from .fog import MOMENTS, Fog, scattered_light, through_fog
-from .froxels import FroxelOptions, eye_ray, froxel_range, slice_at, slice_distance
+from .fog import Fog, scattered_light
+from .froxels import FroxelOptions, eye_ray, froxel_range, has_changed, has_spread, slice_at, slice_distance
 from .geometry_math import is_finite3
-from .lamp_hit import FAR
 from .packing import from_half, rgb, rgba, to_half
 from .paths import Paths
-from .probe_rays import MISS_DISTANCE, ProbeRays
 from .sampling import hash_combine, pixel_seed_of
-from .types import VISIBLE_DIFFUSE, FrameData, Scene
-from .view import View, eye_position, project, settling_frames
+from .types import FrameData
+from .view import View, eye_position, project
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -23,16 +21,9 @@ REST_FRAMES = wp.constant(256.0)
 MOVING_FRAMES = wp.constant(24.0)
 CHANGED_FRAMES = wp.constant(3.0)
 """Most frames in a mean: at rest, while the camera moves, and where something else has just moved or light changed"""
-CHANGE_AGE = wp.constant(4)
-"""Frames for which a change counts: shadows and means of the cells follow it"""
-CELL_FRAMES = wp.constant(64.0)
-CELL_CHANGED = wp.constant(4.0)
 BLURRED_FRAMES = wp.constant(16.0)
 """Frames in a froxel's mean from which it is not blurred"""
-SPREADING = wp.constant(64.0)
-"""Frames since the start or an edit of light for which froxels do so"""
 GROWTH = wp.constant(3.0)
-CELL_GROWTH = wp.constant(6.0)
 """Over itself and the samples before it is the weight of the newest one: what light has yet to spread in is soon left
 behind"""
 
@@ -44,12 +35,6 @@ def factor_of(rays: Paths, slot: int) -> wp.vec3:
     if rays.shadow_distance[slot] != 0.0:
         factor = factor + rays.shadow_light[slot]
     return factor
-
-
-@wp.func
-def has_changed(view: View) -> bool:
-    """Return whether something but the camera has moved or changed of late."""
-    return view.moved_age < CHANGE_AGE or view.light_age < CHANGE_AGE
 
 
 @wp.func
@@ -140,7 +125,7 @@ def blend_froxels(
         found = (wp.cw_mul(rgb(sample), factor_of(rays, slot)) + indirect) * (here[3] * view.exposure)
         if is_finite3(found):
             # Light of the cells spreads at first: what was before counts for less.
-            growth = wp.where(settling_frames(view) < SPREADING, GROWTH, 1.0)
+            growth = wp.where(not has_spread(view), GROWTH, 1.0)
             newest = growth / (frames + growth)
             mean = rgba(rgb(mean) + (found - rgb(mean)) * newest, frames + 1.0)
     else:
@@ -178,80 +163,3 @@ def smooth_froxels(
                 light = light + rgb(other) * weight
                 total = total + weight
     smooth_out[slot] = to_half(rgba(light / wp.max(total, 1.0e-6), wp.where(total > 0.0, 1.0, 0.0)))
-
-
-@wp.kernel
-def open_cells(
-    first: int,
-    # In:
-    views: wp.array[View],
-    options: FroxelOptions,
-    place: wp.array[wp.vec4],
-    # Out:
-    fog_out: Fog,
-    weight_out: wp.array[float],
-):
-    """Find the weight of this frame's samples in each cell's means; those that know nothing start with black."""
-    cell = first + wp.tid()
-    slot = options.columns * options.rows * options.slices + cell
-    weight_out[cell] = 0.0
-    if place[slot][3] == 0.0:
-        return
-    most = wp.where(has_changed(views[0]), CELL_CHANGED, CELL_FRAMES)
-    count = wp.min(fog_out.count[cell], most - 1.0)
-    if count == 0.0:
-        for word in range(MOMENTS):
-            fog_out.light[cell * MOMENTS + word] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    weight_out[cell] = CELL_GROWTH / (count + CELL_GROWTH)
-    fog_out.count[cell] = count + 1.0
-
-
-@wp.kernel
-def spread_fog(
-    first: int,
-    # In:
-    views: wp.array[View],
-    scene: Scene,
-    fog: Fog,
-    options: FroxelOptions,
-    sweep: int,
-    rays: Paths,
-    answers: ProbeRays,
-    place: wp.array[wp.vec4],
-    light: wp.array[wp.vec4],
-    weight: wp.array[float],
-    before: wp.array[wp.vec4],
-    # Out:
-    light_out: wp.array[wp.vec4],
-):
-    """Take the samples of cells into their means, and what their rays bring: of surfaces, and of fog on the way.
-
-    The latter is asked of the cells as the sweep before has left them (`fog`), so that light goes on from cell to cell
-    within a frame; `before` is what they were at its begin.
-    """
-    cell = first + wp.tid()
-    view = views[0]
-    slot = options.columns * options.rows * options.slices + cell
-    newest = weight[cell]
-    direct = wp.vec3(0.0, 0.0, 0.0)
-    around = wp.vec3(0.0, 0.0, 0.0)
-    to_light = rays.shadow_direction[slot]
-    ray = fog.first_ray + cell
-    direction = answers.direction[ray]
-    if newest > 0.0:
-        direct = wp.cw_mul(rgb(light[slot]), factor_of(rays, slot))
-        answer = answers.radiance[ray]
-        length = wp.where(answer[3] < MISS_DISTANCE, answer[3], FAR)
-        seed = hash_combine(pixel_seed_of(cell, sweep, STREAM), wp.uint32(view.frame))
-        through = through_fog(
-            scene, fog, eye_position(view.camera), answers.origin[ray], direction, length, VISIBLE_DIFFUSE, 1, seed)
-        around = rgb(answer) / wp.max(view.exposure, 1.0e-20) + through.light
-        if not (is_finite3(direct) and is_finite3(around)):
-            newest = 0.0
-    for c in range(3):
-        found = wp.vec4(1.0, to_light[0], to_light[1], to_light[2]) * direct[c]
-        known = before[cell * MOMENTS + c]
-        light_out[cell * MOMENTS + c] = known + (found - known) * newest
-        found = wp.vec4(1.0, direction[0], direction[1], direction[2]) * around[c]
-        known = before[cell * MOMENTS + 3 + c]
-        light_out[cell * MOMENTS + 3 + c] = known + (found - known) * newest

@@ -9,7 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import IDLE, Vertices
-from .fog import Fog, passing_between, through_fog
+from .fog import Fog
+from .fog_passage import passing_between, through_fog
 from .geometry_math import is_finite3
 from .intersect import MISS
 from .lamp_hit import FAR
@@ -24,6 +25,8 @@ from .view import View, eye_position
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 STREAM = wp.constant(0x464F47)
+SHADOW_STREAM = wp.constant(wp.uint32(0x53000000))
+"""Sets the numbers of shadow rays' walks apart from all others"""
 PLACES = wp.constant(4)
 """Of which segments of reflections and refraction ask for the light of fog: fewer pixels share these rays"""
 
@@ -139,6 +142,7 @@ def dim_fog_segments(
 def dim_shadow_rays(
     first: int,
     # In:
+    views: wp.array[View],
     scene: Scene,
     fog: Fog,
     offset: int,
@@ -150,5 +154,6 @@ def dim_shadow_rays(
     distance = paths_out.shadow_distance[slot]
     if distance > 0.0:
         share = passing_between(
-            scene, fog, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance, VISIBLE_SHADOW)
+            scene, fog, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance, VISIBLE_SHADOW,
+            hash_combine(ray_seed(views[0], slot), SHADOW_STREAM))
         paths_out.shadow_light[slot] = wp.cw_mul(paths_out.shadow_light[slot], share)

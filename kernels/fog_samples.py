@@ -11,10 +11,19 @@ import warp as wp
 
 from .direct_shadow import start_factor
 from .environment_split import EnvironmentSplit
-from .fog import Fog, cell_key, cell_width, first_cell, fog_about, mean_anisotropy, wrapped
-from .froxels import FroxelOptions, eye_ray, froxel_range, slice_distance, surface_distance
+from .fog import Fog, cell_key, cell_width, first_cell, fog_about, is_own, wrapped
+from .fog_passage import anisotropy_at, fog_at
+from .froxels import (
+    FroxelOptions,
+    eye_ray,
+    froxel_range,
+    has_changed,
+    has_spread,
+    slice_distance,
+    surface_distance,
+)
 from .gbuffer import GBuffer
-from .geometry_math import INV_PI, is_finite3, max_component
+from .geometry_math import INV_PI, is_finite3, max_component, mean_component
 from .intersect import offset_origin
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
@@ -30,13 +39,14 @@ from .light_candidate import (
 )
 from .light_linking import kinds_lit
 from .light_tree import choose_by_tree
-from .media import NO_MEDIUM, STACK_SIZE, Inside, mixture_of, passing, phase_value
+from .media import NO_MEDIUM, STACK_SIZE, Inside, passing, phase_value
 from .media_distance import Pull, pull_of, pulled_density, pulled_distance
 from .paths import Paths
 from .probe_rays import ProbeRays
 from .sampling import STEP_REFILL, STEP_X, STEP_Y, fraction, pixel_seed_of, sample_pair, sample_sphere
 from .types import VISIBLE_VOLUME, Scene
 from .view import View, eye_position, film_position
+from .volume_phases import phase_value_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -49,6 +59,12 @@ DIMENSION_DIRECTION = wp.constant(5)
 DIMENSION_DEPTH = wp.constant(6)
 DIMENSION_PULL = wp.constant(7)
 STREAM = wp.constant(0x46524F58)
+VARIED_PLACES = wp.constant(3)
+"""Of fog that varies that are looked at for one that is lit"""
+TURNS = wp.constant(4)
+"""Frames in which a cell takes a sample once, when light has spread and nothing changes"""
+TURN_FRAMES = wp.constant(32.0)
+"""Samples that it has by then"""
 NEAR_LIGHT = wp.constant(0.1)
 """Distance to a light, in widths of a cell, below which its light counts as from there: cells are means over places of
 which few are as near"""
@@ -87,9 +103,53 @@ def pull_near(scene: Scene, origin: wp.vec3, direction: wp.vec3, length: float, 
 
 
 @wp.func
-def scatters(fog: Fog, inside: Inside) -> bool:
+def scatters(fog: Fog, inside: Inside, position: wp.vec3) -> bool:
     """Return whether what is at a place scatters light."""
-    return max_component(mixture_of(fog.media, inside).scattering) > 0.0
+    return max_component(fog_at(fog, inside, position).scattering) > 0.0
+
+
+@wp.func
+def varied_place(
+    scene: Scene, fog: Fog, origin: wp.vec3, direction: wp.vec3, length: float, pull: Pull, u: wp.vec2,
+) -> FogPlace:
+    """Return a place on a stretch of fog that varies: one of some, by how much of what it scatters is seen.
+
+    What is nearer to the light of a pull is chosen more often, and weighs less.
+    """
+    place = FogPlace()
+    place.direction = direction
+    left = u[1]
+    seen = float(1.0)
+    worth = float(0.0)
+    total = float(0.0)
+    step = length / float(VARIED_PLACES)
+    k = int(0)
+    while k < VARIED_PLACES:
+        t = (float(k) + fraction(u[0] + float(k) * STEP_X)) * step
+        position = origin + direction * t
+        inside = fog_about(scene, fog, position)
+        mixture = fog_at(fog, inside, position)
+        half = wp.exp(-0.5 * step * mean_component(mixture.extinction))
+        here = mean_component(mixture.scattering) * seen * half
+        seen = seen * half * half
+        if here > 0.0:
+            near = float(1.0)
+            if pull.chance > 0.0:
+                near = 1.0 + pull.chance * (pulled_density(pull, t) * length - 1.0)
+            worth = worth + here
+            total = total + here * near
+            share = here * near / total
+            if left < share:
+                left = left / share
+                place.position = position
+                place.inside = inside
+                place.weight = 1.0 / near
+            else:
+                left = (left - share) / (1.0 - share)
+        k = k + 1
+    if worth > 0.0:
+        place.weight = place.weight * total / worth
+    return place
 
 
 @wp.func
@@ -118,6 +178,8 @@ def froxel_place(
     origin = ray.origin + ray.direction * begin
     v = sample_pair(seed, index, DIMENSION_DISTANCE)
     pull = pull_near(scene, origin, ray.direction, length, sample_pair(seed, index, DIMENSION_PULL))
+    if fog.varying == 1:
+        return varied_place(scene, fog, origin, ray.direction, length, pull, v)
     t = v[1] * length
     if v[0] < pull.chance:
         t = wp.clamp(pulled_distance(pull, v[1]), 0.0, length)
@@ -127,7 +189,7 @@ def froxel_place(
     place.position = origin + ray.direction * t
     place.direction = ray.direction
     place.inside = fog_about(scene, fog, place.position)
-    if scatters(fog, place.inside):
+    if scatters(fog, place.inside, place.position):
         place.weight = 1.0 / (length * density)
     return place
 
@@ -151,13 +213,16 @@ def grid_place(
     if fog.key[cell] != key:
         fog.key[cell] = key
         fog.count[cell] = 0.0
+    elif fog.count[cell] >= TURN_FRAMES and (cell + view.frame) % TURNS != 0:
+        if has_spread(view) and not has_changed(view):
+            return place
     width = cell_width(fog, level)
     u = sample_pair(seed, wp.uint32(view.frame), DIMENSION_FILM)
     w = sample_pair(seed, wp.uint32(view.frame), DIMENSION_DEPTH)
     place.position = wp.vec3(float(x) + u[0], float(y) + u[1], float(z) + w[0]) * width
     place.nearest = NEAR_LIGHT * width
     place.inside = fog_about(scene, fog, place.position)
-    if scatters(fog, place.inside):
+    if scatters(fog, place.inside, place.position) and (level < fog.own or not is_own(fog, eye, place.position)):
         place.weight = 1.0
     return place
 
@@ -178,7 +243,11 @@ def arriving(
     """Return what a light sample adds if nothing but the world's fog is in the way: scattered, or from all around."""
     value = float(0.25 * INV_PI)
     if place.nearest == 0.0:
-        value = phase_value(fog.media, place.inside, wp.dot(place.direction, s.wi))
+        cosine = wp.dot(place.direction, s.wi)
+        if fog.varying == 1:
+            value = phase_value_at(fog.media, fog.volumes, place.inside, place.position, cosine)
+        else:
+            value = phase_value(fog.media, place.inside, cosine)
     elif s.distance < place.nearest:
         value = value * (s.distance / place.nearest) * (s.distance / place.nearest)
     return s.radiance * (value / (s.pdf * chance))
@@ -193,7 +262,7 @@ def light_place(
     which = sample_pair(seed, index, DIMENSION_PICK)
     where = sample_pair(seed, index, DIMENSION_POINT)
     left = sample_pair(seed, index, DIMENSION_RESAMPLE)[0]
-    extinction = mixture_of(fog.media, place.inside).extinction
+    extinction = fog_at(fog, place.inside, place.position).extinction
     owner = owner_of(place.inside)
     kept = LightSample()
     kept.kind = -1
@@ -296,4 +365,4 @@ def place_fog_samples(
         light = light_place(scene, split, fog, options, emitters, place, classes, seed, index, slot, rays_out)
     p = place.position
     place_out[slot] = wp.vec4(p[0], p[1], p[2], place.weight)
-    light_out[slot] = wp.vec4(light[0], light[1], light[2], mean_anisotropy(fog.media, place.inside))
+    light_out[slot] = wp.vec4(light[0], light[1], light[2], anisotropy_at(fog, place.inside, p))

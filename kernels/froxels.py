@@ -13,10 +13,15 @@ from .fog import Fog
 from .geometry_math import transform_direction, transform_point
 from .lamp_hit import FAR
 from .types import FrameData
-from .view import SKY_DEPTH, eye_position, unproject
+from .view import SKY_DEPTH, View, eye_position, settling_frames, unproject
 
 WIDEN = wp.constant(256.0)
 """How many times as far as the first slice the last one reaches, where the camera is in the fog"""
+
+CHANGE_AGE = wp.constant(4)
+"""Frames for which a change counts: shadows and means of the cells follow it"""
+SPREADING = wp.constant(64.0)
+"""Frames since the start or an edit of light for which fog's light spreads"""
 
 
 @wp.struct
@@ -99,3 +104,15 @@ def slice_at(span: wp.vec2, slices: int, distance: float) -> float:
     b = first_step(span)
     growth = wp.log(1.0 + (span[1] - span[0]) / b)
     return wp.log(1.0 + wp.max(distance - span[0], 0.0) / b) * float(slices) / growth
+
+
+@wp.func
+def has_changed(view: View) -> bool:
+    """Return whether something but the camera has moved or changed of late."""
+    return view.moved_age < CHANGE_AGE or view.light_age < CHANGE_AGE
+
+
+@wp.func
+def has_spread(view: View) -> bool:
+    """Return whether the light of fog has had time to spread."""
+    return settling_frames(view) >= SPREADING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Media that vary in space: grids of their coefficients, and bounds of these for walks. No kernels.
+"""Media that vary in space: grids of their coefficients. No kernels.
 
 What a medium's program comes to is tabled over the box of each object that it fills (volume_bake.py). The world's box
 is far larger than the scene: its cells get wider with the distance from the middle planes, along each axis by itself,
@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import max_component, transform_direction, transform_point
-from .lamp_hit import FAR
+from .geometry_math import transform_point
 from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium
 
 BLOCK = wp.constant(8)
@@ -22,10 +21,8 @@ FIELD_EXTINCTION = wp.constant(0)
 FIELD_EMISSION = wp.constant(1)
 FIELD_PHASES = wp.constant(2)
 """Places in a grid's fields; from the last one on a scattering and an anisotropy for each phase function"""
-GLOW_POINTS = wp.constant(2.0)
-"""Points at least in the mean that a walk takes in a block that shines"""
-NUDGE = wp.constant(1.0e-4)
-"""Of a block's way, how far beyond a boundary the next block is looked for"""
+WIDE = wp.constant(32)
+"""Sides of a wide block in cells"""
 
 
 @wp.struct
@@ -79,7 +76,8 @@ class Volumes:
     fields: wp.array[Field]
     values: wp.array[float]
     bounds: wp.array[wp.vec2]
-    """Of each block the largest extinction [1/m], before `density`, and the largest emission"""
+    """The largest extinction [1/m], before `density`, and the largest emission of each grid's blocks, then of its wide
+    ones, then of all of it"""
     world: int
     """Grid of the world's; -1 where its medium does not vary"""
 
@@ -96,16 +94,6 @@ class Spot:
     wx: float
     wy: float
     wz: float
-
-
-@wp.struct
-class Bound:
-    """What media come to at most up to a distance."""
-
-    majorant: float
-    """Of the extinction [1/m]; not below what finds enough of what shines"""
-    end: float
-    """From the ray's origin [m]"""
 
 
 @wp.func
@@ -218,11 +206,24 @@ def add_grid(volumes: Volumes, mixture: Mixture, index: int, position: wp.vec3) 
     out = mixture
     grid = volumes.grids[index]
     spot = spot_of(grid, position)
-    out.extinction = out.extinction + field_at(volumes, spot, grid.fields + FIELD_EXTINCTION) * grid.density
+    field = volumes.fields[grid.fields + FIELD_EXTINCTION]
+    channel = int(-1)
+    value = float(0.0)
+    if field.channel >= 0 and field.wide == 0:
+        # Most coefficients are this number times a colour.
+        channel = field.channel
+        value = tabled(volumes, spot, channel)
+        out.extinction = out.extinction + field.color * (value * grid.density)
+    else:
+        out.extinction = out.extinction + field_at(volumes, spot, grid.fields + FIELD_EXTINCTION) * grid.density
     out.emission = out.emission + field_at(volumes, spot, grid.fields + FIELD_EMISSION)
     k = int(0)
     while k < grid.phases:
-        scattering = field_at(volumes, spot, grid.fields + FIELD_PHASES + 2 * k)
+        place = grid.fields + FIELD_PHASES + 2 * k
+        field = volumes.fields[place]
+        scattering = field.color * value
+        if field.channel != channel or field.wide == 1 or channel < 0:
+            scattering = field_at(volumes, spot, place)
         out.scattering = out.scattering + scattering * grid.density
         k = k + 1
     return out
@@ -245,111 +246,4 @@ def mixture_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3
                 out = add_grid(volumes, out, grid, position)
             else:
                 out = add_medium(media, out, inside.media[i])
-    return out
-
-
-@wp.func
-def side_exit(p: float, d: float, low: float, high: float) -> float:
-    """Return how far it is along d from p, between two planes, to the one ahead."""
-    if d > 0.0:
-        return (high - p) / d
-    if d < 0.0:
-        return (low - p) / d
-    return 2.0 * FAR
-
-
-@wp.func
-def block_width(p: float, octave: float) -> float:
-    """Return about how wide a block is, in what `to_cells` leads to."""
-    if octave == 0.0:
-        return float(BLOCK)
-    return 0.7 * float(BLOCK) / octave * (1.0 + wp.abs(p))
-
-
-@wp.func
-def axis_exit(p: float, d: float, block: int, count: int, octave: float) -> float:
-    """Return how far it is along an axis out of a block. The last may be less than whole: none of its box is beyond."""
-    low = narrowed(float(block * BLOCK), count, octave)
-    high = narrowed(float(wp.min((block + 1) * BLOCK, count)), count, octave)
-    return side_exit(p, d, low, high)
-
-
-@wp.func
-def bound_in(volumes: Volumes, bound: Bound, index: int, origin: wp.vec3, direction: wp.vec3, t: float) -> Bound:
-    """Return a bound with that of a grid's block at a distance."""
-    grid = volumes.grids[index]
-    o = transform_point(grid.to_cells, origin)
-    d = transform_direction(grid.to_cells, direction)
-    p = o + d * t
-    way = wp.min(block_width(p[0], grid.octaves[0]) / wp.max(wp.abs(d[0]), 1.0e-30),
-                 wp.min(block_width(p[1], grid.octaves[1]) / wp.max(wp.abs(d[1]), 1.0e-30),
-                        block_width(p[2], grid.octaves[2]) / wp.max(wp.abs(d[2]), 1.0e-30)))
-    begin = t + NUDGE * way
-    p = o + d * begin
-    cell = cells_of(grid, p) / float(BLOCK)
-    i = wp.clamp(int(wp.floor(cell[0])), 0, grid.blocks_x - 1)
-    j = wp.clamp(int(wp.floor(cell[1])), 0, grid.blocks_y - 1)
-    k = wp.clamp(int(wp.floor(cell[2])), 0, grid.blocks_z - 1)
-    end = wp.min(axis_exit(p[0], d[0], i, grid.x, grid.octaves[0]),
-                 wp.min(axis_exit(p[1], d[1], j, grid.y, grid.octaves[1]),
-                        axis_exit(p[2], d[2], k, grid.z, grid.octaves[2])))
-    held = volumes.bounds[grid.blocks + (k * grid.blocks_y + j) * grid.blocks_x + i]
-    out = Bound()
-    # Beyond the box, as by rounding, its outermost cells go on.
-    out.end = wp.min(bound.end, begin + wp.max(end, 0.0))
-    majorant = held[0] * grid.density
-    if held[1] > 0.0:
-        majorant = wp.max(majorant, GLOW_POINTS / way)
-    out.majorant = bound.majorant + majorant
-    return out
-
-
-@wp.func
-def world_entry(grid: VolumeGrid, origin: wp.vec3, direction: wp.vec3) -> float:
-    """Return the distance at which a ray from outside enters the world's box, FAR if it does not."""
-    o = transform_point(grid.to_cells, origin)
-    d = transform_direction(grid.to_cells, direction)
-    high = wp.vec3(narrowed(float(grid.x), grid.x, grid.octaves[0]), narrowed(float(grid.y), grid.y, grid.octaves[1]),
-                   narrowed(float(grid.z), grid.z, grid.octaves[2]))
-    near = float(0.0)
-    far = float(FAR)
-    for c in range(3):
-        if d[c] != 0.0:
-            a = (-high[c] - o[c]) / d[c]
-            b = (high[c] - o[c]) / d[c]
-            near = wp.max(near, wp.min(a, b))
-            far = wp.min(far, wp.max(a, b))
-        elif wp.abs(o[c]) > high[c]:
-            near = FAR
-    return wp.where(near < far, near, FAR)
-
-
-@wp.func
-def bound_at(
-    media: Media, volumes: Volumes, inside: Inside, origin: wp.vec3, direction: wp.vec3, t: float, limit: float,
-) -> Bound:
-    """Return what media come to at most from a distance on, and how far that holds, at most to `limit`."""
-    out = Bound()
-    out.end = limit
-    shining = bool(False)
-    if volumes.world >= 0:
-        if world_grid(volumes, origin + direction * t) >= 0:
-            out = bound_in(volumes, out, volumes.world, origin, direction, t)
-        else:
-            entry = world_entry(volumes.grids[volumes.world], origin + direction * t, direction)
-            # Rounding, of what lies that far away.
-            out.end = wp.min(out.end, (t + entry) * (1.0 + 1.0e-5))
-    elif media.world != NO_MEDIUM:
-        out.majorant = max_component(media.media[media.world].extinction)
-        shining = max_component(media.media[media.world].emission) > 0.0
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                out = bound_in(volumes, out, grid, origin, direction, t)
-            else:
-                out.majorant = out.majorant + max_component(media.media[inside.media[i]].extinction)
-                shining = shining or max_component(media.media[inside.media[i]].emission) > 0.0
-    if shining:
-        out.majorant = wp.max(out.majorant, GLOW_POINTS / wp.max(out.end - t, 1.0e-30))
     return out

@@ -92,3 +92,53 @@ def phase_value_at(media: Media, volumes: Volumes, inside: Inside, position: wp.
             else:
                 sums = add_phases(media, sums, inside.media[i], cosine)
     return sums[0] / wp.max(sums[1], 1.0e-36)
+
+
+@wp.func
+def add_cosines(media: Media, sums: wp.vec2, index: int) -> wp.vec2:
+    """Add the mean cosine of what one medium scatters, weighed by how much that is, and what in all."""
+    out = sums
+    if index != NO_MEDIUM:
+        medium = media.media[index]
+        k = int(0)
+        while k < medium.count:
+            part = media.phases[medium.first + k]
+            weight = mean_component(part.scattering)
+            out = out + wp.vec2(weight * part.anisotropy, weight)
+            k = k + 1
+    return out
+
+
+@wp.func
+def add_cosines_of(volumes: Volumes, sums: wp.vec2, index: int, position: wp.vec3) -> wp.vec2:
+    """Add the mean cosine of what a grid scatters at a point, and what in all; see add_cosines."""
+    out = sums
+    grid = volumes.grids[index]
+    spot = spot_of(grid, position)
+    k = int(0)
+    while k < grid.phases:
+        place = grid.fields + FIELD_PHASES + 2 * k
+        weight = mean_component(field_at(volumes, spot, place)) * grid.density
+        out = out + wp.vec2(weight * field_at(volumes, spot, place + 1)[0], weight)
+        k = k + 1
+    return out
+
+
+@wp.func
+def mean_cosine_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3) -> float:
+    """Return the mean cosine of scattering at a point."""
+    sums = wp.vec2(0.0, 0.0)
+    if volumes.world >= 0:
+        about = world_grid(volumes, position)
+        if about >= 0:
+            sums = add_cosines_of(volumes, sums, about, position)
+    else:
+        sums = add_cosines(media, sums, media.world)
+    for i in range(STACK_SIZE):
+        if inside.media[i] != NO_MEDIUM:
+            grid = grid_of(volumes, inside.media[i], inside.objects[i])
+            if grid >= 0:
+                sums = add_cosines_of(volumes, sums, grid, position)
+            else:
+                sums = add_cosines(media, sums, inside.media[i])
+    return sums[0] / wp.max(sums[1], 1.0e-36)

@@ -18,7 +18,8 @@ from .media_distance import Passage
 from .media_steps import add_met
 from .paths import Options, Paths, add_light, limit_at
 from .sampling import hash_combine, hashed_unit
-from .volume_grids import Volumes, add_grid, bound_at, grid_of, mixture_at, varies, world_grid
+from .volume_bounds import WIDE_POINTS, bound_at
+from .volume_grids import Volumes, add_grid, grid_of, mixture_at, varies, world_grid
 
 WALK_STEPS = wp.constant(1 << 16)
 """Points and blocks that a walk meets at most"""
@@ -78,7 +79,7 @@ def walk_media(
     step = int(0)
     going = bool(t < end)
     while going and step < WALK_STEPS:
-        bound = bound_at(media, volumes, inside, origin, direction, t, end)
+        bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
         ahead = bound.end
         if bound.majorant > 0.0:
@@ -131,7 +132,7 @@ def share_of_way(
     t = float(start)
     step = int(0)
     while t < end and step < WALK_STEPS:
-        bound = bound_at(media, volumes, inside, origin, direction, t, end)
+        bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
         ahead = bound.end
         if bound.majorant > 0.0:

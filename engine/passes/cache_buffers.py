@@ -200,14 +200,15 @@ def record_sums(
 
 
 def record_shadow_rays(
-    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array, under_way: WorkList,
-    layered: WorkList, pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
+    graph: FrameGraph, views: wp.array, scene: Scene, paths: Paths, offset: int, count: int, queue: wp.array,
+    under_way: WorkList, layered: WorkList, pending: WorkList, *, filtered: bool, lean_layers: bool, programs: bool,
     fog: Fog | None = None,
 ) -> None:
     """Record tracing hits' shadow rays to the lights chosen for them; what arrives is `paths.radiance`.
 
     Args:
         graph: What to add to.
+        views: One View.
         scene: The scene.
         paths: Their rays.
         offset: Their first slot.
@@ -222,7 +223,7 @@ def record_shadow_rays(
         fog: What is in their way; None: nothing.
     """
     if fog is not None:
-        graph.launch(fog_rays.dim_shadow_rays, count, [scene, fog, offset], [paths])
+        graph.launch(fog_rays.dim_shadow_rays, count, [views, scene, fog, offset], [paths])
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
     between = scene

@@ -13,6 +13,7 @@ import warp as wp
 
 from ...kernels import (
     fog_blend,
+    fog_cells,
     fog_composite,
     fog_rays,
     fog_samples,
@@ -27,7 +28,7 @@ from ...kernels.paths import Paths
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
-from ..fog import MOST_CELLS, FogData, fog_struct
+from ..fog import FogData, fog_struct
 from ..frame_graph import FrameGraph
 from ..history import History, copy_struct
 from ..shadow_rays import make_options, make_shadow_rays
@@ -51,12 +52,8 @@ SLICES = 64
 CANDIDATES = 4
 """Lights that are considered for each froxel and cell"""
 
-SWEEPS = 16
-"""Times that light goes on from cell to cell within a frame while it spreads. All but the last scatter it alike in all
-directions: over the same rays again and again it would else grow more than over their mean"""
-
-SETTLED_SWEEPS = 2
-"""Later, where it is scattered alike in all directions; elsewhere once"""
+SWEEPS_SETTLED = 8
+"""By how many sweeps are fewer once light has spread"""
 
 DEBUG_CHANNELS = {"fog.light": fog_composite.SHOW_LIGHT, "fog.passing": fog_composite.SHOW_PASSING}
 
@@ -82,23 +79,33 @@ class FogPass:
         options.slices, options.candidates = SLICES, CANDIDATES
         self.options = options
         self.froxels = options.columns * options.rows * options.slices
-        self.slots = self.froxels + MOST_CELLS
         count, device = self.froxels, self.device
         self.light: History[wp.array] = History("fog.light", lambda: wp.zeros(count, dtype=wp.vec4h, device=device))
         self.smooth = wp.zeros(count, dtype=wp.vec4h, device=device)
-        words = MOST_CELLS * int(MOMENTS)
-        self._cells: History[wp.array] = History("fog.cells", lambda: wp.zeros(words, dtype=wp.vec4, device=device))
-        self._spreading = [wp.zeros(words, dtype=wp.vec4, device=device) for _ in range(2)]
-        self._count, self._weight = (wp.zeros(MOST_CELLS, dtype=float, device=device) for _ in range(2))
-        self._key = wp.zeros(MOST_CELLS, dtype=int, device=device)
-        self._place, self._sample = (wp.zeros(self.slots, dtype=wp.vec4, device=device) for _ in range(2))
+        self.cells = 0
         self._picture = wp.zeros(width * height, dtype=wp.vec4h, device=device)
         self._no_emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=device)
         self._rays_for: bool | None = None
 
+    def _make_cells(self, cells: int) -> None:
+        """Allocate what cells need: 650 bytes each."""
+        self.cells, self.slots, device = cells, self.froxels + cells, self.device
+        words, links = cells * int(MOMENTS), cells * int(fog_cells.LINKS)
+        self._cells: History[wp.array] = History("fog.cells", lambda: wp.zeros(words, dtype=wp.vec4, device=device))
+        self._spreading = [wp.zeros(words, dtype=wp.vec4, device=device) for _ in range(2)]
+        self._links = fog_cells.FogLinks()
+        for name in ("place", "weight", "light", "direction"):
+            setattr(self._links, name, wp.zeros(links, dtype=wp.vec4, device=device))
+        self._count, self._weight = (wp.zeros(cells, dtype=float, device=device) for _ in range(2))
+        self._key = wp.zeros(cells, dtype=int, device=device)
+        self._place, self._sample = (wp.zeros(self.slots, dtype=wp.vec4, device=device) for _ in range(2))
+        self._rays_for = None
+
     def reset(self) -> None:
         """Forget all light."""
         self.light.reset()
+        if not self.cells:
+            return
         self._cells.reset()
         for array in (self._count, self._key):
             array.zero_()
@@ -110,7 +117,9 @@ class FogPass:
         """
         fog = fog_struct(data)
         fog.first_ray = first_ray
-        self.cells, self._even = data.cells, data.even
+        if data.cells != self.cells:
+            self._make_cells(data.cells)
+        self._sweeps = data.sweeps
         fog.light = fog.towards = self._cells.previous(parity)
         fog.count, fog.key = self._count, self._key
         return fog
@@ -163,7 +172,7 @@ class FogPass:
     ) -> None:
         """Record finding what becomes of the light of the samples."""
         slots = self.froxels + self.cells
-        graph.launch(fog_rays.dim_shadow_rays, slots, [scene, fog, 0], [rays])
+        graph.launch(fog_rays.dim_shadow_rays, slots, [self._views, scene, fog, 0], [rays])
         record_shadows(graph, scene, rays, slots, self._queue, self._layered, filtered=filtered, lean=lean_layers)
         if textured:
             graph.launch_queued(
@@ -176,17 +185,20 @@ class FogPass:
         Comes after these. Each sweep reads what the one before it has written.
         """
         views, options = self._views, self.options
-        samples = [self._rays, self._answers, self._place, self._sample, self._weight, fog.light]
+        samples = [self._rays, self._answers, self._links, self._sample, self._weight, fog.light]
         graph.join(FOG)
         with graph.section("Fog light"):
-            graph.launch(fog_blend.open_cells, self.cells, [views, options, self._place], [fog, self._weight])
-            sweeps = SWEEPS if phase is LightPhase.SWEEPING else SETTLED_SWEEPS if self._even else 1
+            graph.launch(fog_cells.open_cells, self.cells, [views, options, self._place], [fog, self._weight])
+            graph.launch(
+                fog_cells.link_cells, self.cells * int(fog_cells.LINKS),
+                [views, scene, fog, self._answers, self._weight], [self._links])
+            sweeps = self._sweeps if phase is LightPhase.SWEEPING else max(self._sweeps // SWEEPS_SETTLED, 1)
             read = copy_struct(fog)
             for sweep in range(sweeps):
                 read.even = int(sweep < sweeps - 1)
                 written = self._cells.current(parity) if sweep == sweeps - 1 else self._spreading[sweep & 1]
                 graph.launch(
-                    fog_blend.spread_fog, self.cells, [views, scene, read, options, sweep, *samples], [written])
+                    fog_cells.spread_fog, self.cells, [views, read, options, sweep, *samples], [written])
                 read = copy_struct(fog)
                 read.light = written
             read.towards = read.light

@@ -97,9 +97,9 @@ class HairPass(ReflectionPass):
             after=after)
         with graph.section(self._section("shadow rays")):
             record_shadow_rays(
-                graph, what.scene, self.lit_strands, 0, self.blocks, self.queue, self._under_way, self._strand_layers,
-                self._pending, filtered=what.filtered, lean_layers=what.lean_layers, programs=what.programs,
-                fog=what.fog)
+                graph, views, what.scene, self.lit_strands, 0, self.blocks, self.queue, self._under_way,
+                self._strand_layers, self._pending, filtered=what.filtered, lean_layers=what.lean_layers,
+                programs=what.programs, fog=what.fog)
 
     def _record_places(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
         graph.launch(

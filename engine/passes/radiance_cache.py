@@ -331,7 +331,7 @@ class RadianceCachePass:
                  float(self.settings.sample_cap if settled else math.inf)], [self.paths], start=offset)
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
-                graph, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
+                graph, views, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
                 filtered=has_layers(scene), lean_layers=self._lean_layers, programs=programs, fog=self._fog)
 
     def _record_cells(

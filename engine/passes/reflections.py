@@ -320,7 +320,7 @@ class ReflectionPass:
         with graph.section(self._section("hits")):
             record_insertion(graph, views, paths, vertices, grid, 0, blocks, deterministic=what.deterministic)
         if scene.lights.class_count > 0:
-            self._record_shadows(graph, what, grid)
+            self._record_shadows(graph, views, what, grid)
         else:
             # Black samples: nothing else writes them.
             paths.radiance.zero_()
@@ -331,7 +331,7 @@ class ReflectionPass:
         with graph.section(self._section("hits")):
             record_sums(graph, views, self.paths, self.vertices, grid, 0, self.blocks, self.blocks)
 
-    def _record_shadows(self, graph: FrameGraph, what: RayScene, grid: HashGrid) -> None:
+    def _record_shadows(self, graph: FrameGraph, views: wp.array, what: RayScene, grid: HashGrid) -> None:
         """Record choosing a light for each hit, and its shadow ray."""
         scene, blocks, paths, vertices = what.scene, self.blocks, self.paths, self.vertices
         with graph.section(self._section("hits")):
@@ -341,8 +341,8 @@ class ReflectionPass:
             graph.launch(choose, blocks, [scene, what.world, grid, candidates], [self.rays, paths, vertices])
         with graph.section(self._section("shadow rays")):
             record_shadow_rays(
-                graph, scene, paths, 0, blocks, self.queue, self.lit, self.layered, self.left, filtered=what.filtered,
-                lean_layers=what.lean_layers, programs=what.programs, fog=what.fog)
+                graph, views, scene, paths, 0, blocks, self.queue, self.lit, self.layered, self.left,
+                filtered=what.filtered, lean_layers=what.lean_layers, programs=what.programs, fog=what.fog)
 
     @property
     def asks_probes(self) -> bool:
