@@ -21,12 +21,12 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
+from tests.performance.made_scene import add, finish, surface  # noqa: E402
 from tests.performance.measured_session import Measured, compare, settings_for, truth_of  # noqa: E402
 from tests.performance.settings_text import FILTERED, merged, parse_settings  # noqa: E402
 
@@ -54,25 +54,6 @@ def hair_material(look: str) -> bpy.types.Material:
         if name != "parametrization":
             node.inputs[name].default_value = value
     tree.links.new(node.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs[0])
-    return made
-
-
-def surface(color: tuple[float, float, float], roughness: float = 0.5) -> bpy.types.Material:
-    """Return a plain material."""
-    made = bpy.data.materials.new("surface")
-    made.use_nodes = True
-    node = made.node_tree.nodes["Principled BSDF"]
-    node.inputs["Base Color"].default_value = (*color, 1.0)
-    node.inputs["Roughness"].default_value = roughness
-    return made
-
-
-def add(data: bpy.types.ID, place: tuple, target: tuple) -> bpy.types.Object:
-    """Add an object that looks at a place."""
-    made = bpy.data.objects.new(data.name, data)
-    bpy.context.scene.collection.objects.link(made)
-    made.location = place
-    made.rotation_euler = (Vector(target) - Vector(place)).to_track_quat("-Z", "Y").to_euler()
     return made
 
 
@@ -122,17 +103,6 @@ def unit_vectors(count: int, seed: int) -> np.ndarray:
     """Return directions, evenly spread by chance: [count, 3]."""
     found = np.random.default_rng(seed).normal(size=(count, 3))
     return found / np.linalg.norm(found, axis=1, keepdims=True)
-
-
-def finish(path: Path, world: tuple, camera: tuple, target: tuple, lens: float) -> None:
-    """Add world and camera, and save."""
-    scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("world")
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (*world, 1.0)
-    scene.camera = add(bpy.data.cameras.new("camera"), camera, target)
-    scene.camera.data.lens = lens
-    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
-    bpy.ops.wm.save_as_mainfile(filepath=str(path.resolve()))
 
 
 def save_ball(path: Path, light: str, look: str) -> None:

@@ -20,12 +20,12 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
+from tests.performance.made_scene import add, finish, surface  # noqa: E402
 from tests.performance.measured_session import Measured, compare, settings_for, truth_of  # noqa: E402
 from tests.performance.settings_text import FILTERED, merged  # noqa: E402
 
@@ -93,24 +93,6 @@ def volume_material(
     return made
 
 
-def surface(color: tuple[float, float, float], roughness: float, metallic: float = 0.0) -> bpy.types.Material:
-    """Return a plain material."""
-    made = bpy.data.materials.new("surface")
-    node = made.node_tree.nodes["Principled BSDF"]
-    node.inputs["Base Color"].default_value = (*color, 1.0)
-    node.inputs["Roughness"].default_value, node.inputs["Metallic"].default_value = roughness, metallic
-    return made
-
-
-def add(data: bpy.types.ID, place: tuple, target: tuple) -> bpy.types.Object:
-    """Add an object that looks at a place."""
-    made = bpy.data.objects.new(data.name, data)
-    bpy.context.scene.collection.objects.link(made)
-    made.location = place
-    made.rotation_euler = (Vector(target) - Vector(place)).to_track_quat("-Z", "Y").to_euler()
-    return made
-
-
 def add_box(material: bpy.types.Material, place: tuple, size: tuple) -> None:
     """Add a box of half sides `size`."""
     bpy.ops.mesh.primitive_cube_add(location=place, scale=size)
@@ -123,17 +105,10 @@ def add_plane(material: bpy.types.Material, place: tuple, turn: tuple = (0.0, 0.
     bpy.context.object.data.materials.append(material)
 
 
-def finish(path: Path, world: tuple, camera: tuple, target: tuple, lens: float) -> None:
-    """Add world and camera, and save."""
-    scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("world")
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (*world, 1.0)
-    scene.camera = add(bpy.data.cameras.new("camera"), camera, target)
-    scene.camera.data.lens = lens
-    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
+def follow_light() -> None:
+    """Let Cycles follow light as far as Burnish does."""
     for name in ("max", "diffuse", "glossy", "transmission", "transparent_max", "volume"):
-        setattr(scene.cycles, f"{name}_bounces", 64)
-    bpy.ops.wm.save_as_mainfile(filepath=str(path.resolve()))
+        setattr(bpy.context.scene.cycles, f"{name}_bounces", 64)
 
 
 def add_sun(energy: float, place: tuple) -> None:
@@ -151,6 +126,7 @@ def save_ball(path: Path, look: str) -> None:
     glows = "glow" in LOOKS[look]
     if not glows:
         add_sun(3.0, (3.0, -2.0, 4.0))
+    follow_light()
     finish(path, (0.02,) * 3 if glows else (0.3, 0.35, 0.45), (0.0, -7.0, 2.2), (0.0, 0.0, 1.1), 70.0)
 
 
@@ -174,6 +150,7 @@ def save_room(path: Path) -> None:
     spot = bpy.data.lights.new("spot", 'SPOT')
     spot.energy, spot.spot_size, spot.shadow_soft_size, spot.color = 400.0, 0.7, 0.05, (0.7, 0.8, 1.0)
     add(spot, (-3.5, -1.0, 3.5), (0.0, 0.0, 0.0))
+    follow_light()
     finish(path, (0.05, 0.06, 0.08), (0.0, -6.0, 1.7), (0.0, 0.0, 1.1), 42.0)
 
 
