@@ -161,7 +161,7 @@ def _thickness(source: DeviceScene, found: Mapping[Hashable, MediumData]) -> np.
 
 def without(of_material: wp.array, places: list[int]) -> wp.array:
     """Return media by material with none for some of the materials."""
-    rows = of_material.numpy()
+    rows = of_material.numpy().copy()  # a processor's is no copy
     rows[places] = -1
     return wp.array(rows, dtype=int, device=of_material.device)
 

@@ -92,6 +92,15 @@ def test_glass_has_the_colour_of_what_is_in_it():
         np.exp([-0.2, -1.0, -4.0]), rel=0.01)
 
 
+def test_bodies_without_a_surface_stay_beside_coloured_glass():
+    """Keep the medium of a body without a surface where glass has one too, which frames draw apart from it."""
+    glass = filled(absorber(0.4, 0.0, 0.2), scenes.material("GLASS", color=1.0, ior=1.0001))
+    bare = dataclasses.replace(filled(absorber(0.1, 0.5, 2.0)), bare=True)
+    expected = pytest.approx(np.exp([-0.2, -1.0, -4.0]), rel=1e-4)
+    assert seen(boxes(bare, glass, distance=3.0)) == expected
+    assert seen(boxes(bare)) == expected
+
+
 @pytest.mark.parametrize("height", [-1.5, -1.0], ids=["above", "on"])
 def test_shadow_rays_are_dimmed(height):
     """Light a floor through a box above or on it: 2 m of its medium are in the way, and in that of the camera."""
