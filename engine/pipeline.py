@@ -342,7 +342,7 @@ class Pipeline:
             graph, parity, kernels_scene, views, rays, count, gbuffer=surfaces, started=True, after=branches,
             phase=phase, **cache_scene)
         if fog is not None:
-            self.fog.record_light(graph, parity, kernels_scene, fog, phase)
+            self.fog.record_light(graph, parity, kernels_scene, fog, self.cache.ways, phase)
         graph.join(REPROJECTION)
         shown = {}
         for each in traced:

@@ -108,6 +108,21 @@ def append_left_hits(
 
 
 @wp.kernel
+def append_marked(
+    # In:
+    mark: wp.array[int],
+    offset: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the slots, from `offset` on, that are marked."""
+    slot = offset + wp.tid()
+    if mark[slot] != 0:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = slot
+
+
+@wp.kernel
 def append_unfilled(
     # In:
     irradiance: wp.array[wp.vec4h],

@@ -83,7 +83,7 @@ def open_cells(
     fog_out.count[cell] = count + 1.0
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def link_cells(
     first: int,
     # In:
@@ -117,7 +117,7 @@ def link_cells(
     length = wp.where(length < MISS_DISTANCE, length, FAR)
     link = link_fog(
         scene, fog, origin, direction, length, VISIBLE_DIFFUSE,
-        cell_width(fog, cell // (fog.side * fog.side * fog.side)),
+        cell_width(fog, cell // (fog.side * fog.side * fog.side)), True,
         hash_combine(pixel_seed_of(index, 0, STREAM), wp.uint32(view.frame)))
     links_out.place[index] = rgba(link.place, link.anisotropy)
     links_out.weight[index] = rgba(link.weight, 0.0)

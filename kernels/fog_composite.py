@@ -20,7 +20,7 @@ SHOW_LIGHT = wp.constant(0)
 SHOW_PASSING = wp.constant(1)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def lay_fog(
     first: int,
     # In:

@@ -11,10 +11,10 @@ import warp as wp
 
 from .fog import WALLS_MAX, Fog, fog_about, next_wall, scattered_light
 from .geometry_math import max_component, mean_component
-from .media import STACK_SIZE, Inside, Media, Mixture, emitted, mixture_of, passing
+from .media import HELD, Inside, Media, Mixture, emitted, held_medium, mixture_of, passing
 from .sampling import hash_combine, hashed_unit
 from .types import Scene
-from .volume_bounds import WIDE_POINTS, bound_at
+from .volume_bounds import WIDE_POINTS, Bound, bound_at
 from .volume_grids import mixture_at, varies
 from .volume_phases import add_cosines, mean_cosine_at
 from .volume_walk import FAINT, share_of_way
@@ -52,6 +52,8 @@ class FogLink:
     """Sum of the mean weights of all places so far"""
     left: float
     """What is left of the number that draws the place, in [0, 1)"""
+    varies: int
+    """1: the way ends before fog that varies, through which it was not to go"""
 
 
 @wp.func
@@ -73,9 +75,11 @@ def fog_at(fog: Fog, inside: Inside, position: wp.vec3) -> Mixture:
 @wp.func
 def mean_anisotropy(media: Media, inside: Inside) -> float:
     """Return the mean cosine of scattering of all that is the same everywhere at a place."""
-    sums = add_cosines(media, wp.vec2(0.0, 0.0), media.world)
-    for i in range(STACK_SIZE):
-        sums = add_cosines(media, sums, inside.media[i])
+    sums = wp.vec2(0.0, 0.0)
+    k = int(0)
+    while k < HELD:
+        sums = add_cosines(media, sums, held_medium(media, inside, k))
+        k = k + 1
     return sums[0] / wp.max(sums[1], 1.0e-36)
 
 
@@ -190,14 +194,17 @@ def walk_through(
     out = link
     begun = wp.max(max_component(link.passing), 1.0e-30)
     t = float(start)
+    bound = Bound()
+    majorant = float(0.0)
     step = int(0)
     while t < end and step < POINTS_MAX:
-        bound = bound_at(fog.media, fog.volumes, inside, origin, direction, t, end, WIDE_POINTS)
+        if t >= bound.end:
+            bound = bound_at(fog.media, fog.volumes, inside, origin, direction, t, end, WIDE_POINTS)
+            majorant = wp.where(
+                bound.majorant > 0.0, wp.max(bound.majorant, BLOCK_POINTS / wp.max(bound.end - t, 1.0e-30)), 0.0)
         number = hash_combine(seed, wp.uint32(step))
         ahead = bound.end
-        majorant = bound.majorant
         if majorant > 0.0:
-            majorant = wp.max(majorant, BLOCK_POINTS / wp.max(bound.end - t, 1.0e-30))
             ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / majorant
         if ahead >= bound.end:
             t = bound.end
@@ -266,11 +273,20 @@ def even_link(
 @wp.func
 def link_fog(
     scene: Scene, fog: Fog, origin: wp.vec3, direction: wp.vec3, length: float, kind: int, blur: float,
-    seed: wp.uint32,
+    walks: bool, seed: wp.uint32,
 ) -> FogLink:
     """Return what fog does to light that comes to a ray's origin from its end, and the place that stands for all.
 
-    `blur`: width of the cells [m] whose means rays are sent from, else 0; see shortened.
+    Args:
+        scene: The scene.
+        fog: Its fog.
+        origin: Of the ray [m].
+        direction: Its direction.
+        length: Its length [m].
+        kind: VISIBLE_*.
+        blur: Width of the cells [m] whose means rays are sent from, else 0; see shortened.
+        walks: False: to go no farther than to fog that varies, and tell.
+        seed: Of its random numbers.
     """
     out = FogLink()
     out.passing = wp.vec3(1.0, 1.0, 1.0)
@@ -283,6 +299,9 @@ def link_fog(
         wall = next_wall(scene, fog, origin, direction, look, length, kind, inside)
         number = hash_combine(seed, wp.uint32(step))
         if fog_varies(fog, inside):
+            if not walks:
+                out.varies = 1
+                return out
             out = walk_link(fog, origin, direction, inside, start, wall.t, blur, number, out)
         else:
             out = even_link(fog, origin, direction, inside, start, wall.t, blur, number, out)

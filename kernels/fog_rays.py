@@ -9,14 +9,14 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import IDLE, Vertices
-from .fog import Fog
-from .fog_passage import passing_between, through_fog
+from .fog import Fog, scattered_light
+from .fog_passage import FogLink, link_fog, passing_between, through_fog
 from .geometry_math import is_finite3
 from .intersect import MISS
 from .lamp_hit import FAR
-from .packing import rgb
+from .packing import rgb, rgba
 from .paths import ENDED, Paths
-from .probe_rays import MISS_DISTANCE, ProbeRays
+from .probe_rays import ProbeRays
 from .reflection_rays import gather
 from .sampling import hash_combine, pixel_seed_of
 from .types import VISIBLE_DIFFUSE, VISIBLE_SHADOW, Scene
@@ -37,6 +37,57 @@ def ray_seed(view: View, slot: int) -> wp.uint32:
     return hash_combine(pixel_seed_of(slot, 0, STREAM), wp.uint32(view.frame))
 
 
+@wp.struct
+class FogWays:
+    """What fog is on the ways of the radiance cache's rays, one slot a ray."""
+
+    varies: wp.array[int]
+    """1: the ray goes through fog that varies"""
+    place: wp.array[wp.vec4]
+    """Of rays before Fog.first_ray: a place where light is scattered, which stands for all; w = mean cosine of that"""
+    weight: wp.array[wp.vec4]
+    """Of what is scattered there, in rgb"""
+
+
+@wp.func
+def way_of(
+    view: View, scene: Scene, fog: Fog, paths: Paths, slot: int, walks: bool,
+) -> FogLink:
+    """Return what fog does on a ray's way to its hit; `walks`: see link_fog."""
+    length = paths.t[slot]
+    if paths.hit[slot][0] == MISS:
+        length = FAR
+    return link_fog(
+        scene, fog, paths.origin[slot], paths.direction[slot], length, VISIBLE_DIFFUSE, 0.0, walks,
+        ray_seed(view, slot))
+
+
+@wp.func
+def take_way(view: View, fog: Fog, paths: Paths, slot: int, way: FogLink, vertices_out: Vertices, ways_out: FogWays):
+    """Let fog on its way take its part of what a ray brings, and add its own light to bounces.
+
+    Cells learn of the hits' light as it is there. Other rays get what fog scatters once its cells have learnt of this
+    frame's light (add_fog_light, fog_cells.spread_fog).
+    """
+    emission = vertices_out.emission[slot]
+    light = wp.cw_mul(rgb(emission), way.passing)
+    if slot < fog.first_ray:
+        light = light + way.light
+        ways_out.place[slot] = rgba(way.place, way.anisotropy)
+        ways_out.weight[slot] = rgba(way.weight, 0.0)
+    elif slot >= fog.first_ray + fog.levels * fog.side * fog.side * fog.side:
+        light = light + way.light
+        if way.total > 0.0:
+            light = light + wp.cw_mul(way.weight, scattered_light(
+                fog, eye_position(view.camera), way.place, paths.direction[slot], way.anisotropy, 1,
+                ray_seed(view, slot)))
+    if not is_finite3(light):
+        light = wp.vec3(0.0, 0.0, 0.0)
+    vertices_out.emission[slot] = rgba(light, emission[3])
+    r = vertices_out.reflectance[slot]
+    vertices_out.reflectance[slot] = rgba(wp.cw_mul(rgb(r), way.passing), r[3])
+
+
 @wp.kernel
 def dim_cache_rays(
     first: int,
@@ -48,32 +99,46 @@ def dim_cache_rays(
     paths: Paths,
     # Out:
     vertices_out: Vertices,
+    ways_out: FogWays,
 ):
-    """Let the fog before what cache rays have hit take its part of what these bring, and add its own light to bounces.
+    """Let the fog before what cache rays have hit take its part, but of those that walk_cache_rays is for.
 
-    Comes after their materials. Cells learn of the hits' light as it is there. Other rays get the fog's light once the
-    fog's cells have learnt of this frame's (add_fog_light, fog_blend.spread_fog).
+    Comes after their materials.
     """
     slot = offset + first + wp.tid()
-    emission = vertices_out.emission[slot]
-    if emission[3] == IDLE:
-        return
-    view = views[0]
-    length = paths.t[slot]
-    if paths.hit[slot][0] == MISS:
-        length = FAR
-    through = through_fog(
-        scene, fog, eye_position(view.camera), paths.origin[slot], paths.direction[slot], length, VISIBLE_DIFFUSE, 1,
-        ray_seed(view, slot))
-    light = wp.cw_mul(rgb(emission), through.passing)
-    if slot >= fog.first_ray + fog.levels * fog.side * fog.side * fog.side:
-        light = light + through.light
-    if not is_finite3(light):
-        light = wp.vec3(0.0, 0.0, 0.0)
-    vertices_out.emission[slot] = wp.vec4(light[0], light[1], light[2], emission[3])
-    r = vertices_out.reflectance[slot]
-    left = wp.cw_mul(rgb(r), through.passing)
-    vertices_out.reflectance[slot] = wp.vec4(left[0], left[1], left[2], r[3])
+    varies = int(0)
+    if vertices_out.emission[slot][3] != IDLE:
+        view = views[0]
+        way = way_of(view, scene, fog, paths, slot, False)
+        varies = way.varies
+        if varies == 0:
+            take_way(view, fog, paths, slot, way, vertices_out, ways_out)
+    ways_out.varies[slot] = varies
+
+
+@wp.kernel(cuda_max_registers=128)
+def walk_cache_rays(
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    fog: Fog,
+    paths: Paths,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    vertices_out: Vertices,
+    ways_out: FogWays,
+):
+    """Do the same for listed rays that go through fog that varies: few do, and these take many steps."""
+    i = wp.tid()
+    while i < count[0]:
+        slot = queue[i]
+        i = i + stride
+        if ways_out.varies[slot] == 1:
+            view = views[0]
+            way = way_of(view, scene, fog, paths, slot, True)
+            take_way(view, fog, paths, slot, way, vertices_out, ways_out)
 
 
 @wp.kernel
@@ -81,24 +146,25 @@ def add_fog_light(
     first: int,
     # In:
     views: wp.array[View],
-    scene: Scene,
     fog: Fog,
+    ways: FogWays,
     # Out:
     rays_out: ProbeRays,
 ):
-    """Add to the answers to probe rays what the fog before their hits adds."""
+    """Add to the answers to probe rays what the fog before their hits scatters."""
     slot = first + wp.tid()
     if not rays_out.t_max[slot] > 0.0:
         return
-    view = views[0]
-    answer = rays_out.radiance[slot]
-    length = wp.where(answer[3] < MISS_DISTANCE, answer[3], FAR)
-    through = through_fog(
-        scene, fog, eye_position(view.camera), rays_out.origin[slot], rays_out.direction[slot], length, VISIBLE_DIFFUSE,
-        1, ray_seed(view, slot))
-    light = rgb(answer) + through.light * view.exposure
-    if is_finite3(light):
-        rays_out.radiance[slot] = wp.vec4(light[0], light[1], light[2], answer[3])
+    weight = rgb(ways.weight[slot])
+    if wp.length_sq(weight) > 0.0:
+        view = views[0]
+        place = ways.place[slot]
+        answer = rays_out.radiance[slot]
+        scattered = scattered_light(
+            fog, eye_position(view.camera), rgb(place), rays_out.direction[slot], place[3], 1, ray_seed(view, slot))
+        light = rgb(answer) + wp.cw_mul(weight, scattered) * view.exposure
+        if is_finite3(light):
+            rays_out.radiance[slot] = rgba(light, answer[3])
 
 
 @wp.kernel
@@ -138,22 +204,45 @@ def dim_fog_segments(
             paths_out.throughput[slot] = wp.cw_mul(throughput, through.passing)
 
 
-@wp.kernel
+@wp.func
+def dim_shadow_ray(view: View, scene: Scene, fog: Fog, paths_out: Paths, slot: int):
+    """Multiply the light of a shadow ray that is not traced yet, if there is one, by what fog lets through."""
+    distance = paths_out.shadow_distance[slot]
+    if distance > 0.0:
+        share = passing_between(
+            scene, fog, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance, VISIBLE_SHADOW,
+            hash_combine(ray_seed(view, slot), SHADOW_STREAM))
+        paths_out.shadow_light[slot] = wp.cw_mul(paths_out.shadow_light[slot], share)
+
+
+@wp.kernel(cuda_max_registers=128)
 def dim_shadow_rays(
     first: int,
     # In:
     views: wp.array[View],
     scene: Scene,
     fog: Fog,
-    offset: int,
     # Out:
     paths_out: Paths,
 ):
     """Multiply the light of shadow rays that are not traced yet by what fog lets through."""
-    slot = offset + first + wp.tid()
-    distance = paths_out.shadow_distance[slot]
-    if distance > 0.0:
-        share = passing_between(
-            scene, fog, paths_out.shadow_origin[slot], paths_out.shadow_direction[slot], distance, VISIBLE_SHADOW,
-            hash_combine(ray_seed(views[0], slot), SHADOW_STREAM))
-        paths_out.shadow_light[slot] = wp.cw_mul(paths_out.shadow_light[slot], share)
+    dim_shadow_ray(views[0], scene, fog, paths_out, first + wp.tid())
+
+
+@wp.kernel(cuda_max_registers=128)
+def dim_listed_shadow_rays(
+    # In:
+    views: wp.array[View],
+    scene: Scene,
+    fog: Fog,
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    paths_out: Paths,
+):
+    """Do the same for listed ones."""
+    i = wp.tid()
+    while i < count[0]:
+        dim_shadow_ray(views[0], scene, fog, paths_out, queue[i])
+        i = i + stride

@@ -20,6 +20,8 @@ from .wide_loads import load_corner, load_instance
 
 STACK_SIZE = wp.constant(4)
 """Media of objects that a path can be in at once, beside the world's; it does not notice that it enters more"""
+HELD = wp.constant(STACK_SIZE + 1)
+"""The same with the world's"""
 NO_MEDIUM = wp.constant(-1)
 
 
@@ -164,6 +166,32 @@ def past_layer(
 
 
 @wp.func
+def entry(values: wp.vec4i, i: int) -> int:
+    """Return one of four numbers, without a place in memory for them."""
+    return wp.where(i < 2, wp.where(i == 0, values[0], values[1]), wp.where(i == 2, values[2], values[3]))
+
+
+@wp.func
+def held_medium(media: Media, inside: Inside, k: int) -> int:
+    """Return one of the HELD media of a path: the world's for k = 0, else that of a boundary.
+
+    Loops over these stay loops, whose code is once in a kernel: written out for each it does not fit into a GPU's
+    instruction cache, which kernels of media wait for.
+    """
+    if k == 0:
+        return media.world
+    return entry(inside.media, k - 1)
+
+
+@wp.func
+def held_object(inside: Inside, k: int) -> int:
+    """Return the object whose medium held_medium returns; -1 for the world."""
+    if k == 0:
+        return -1
+    return entry(inside.objects, k - 1)
+
+
+@wp.func
 def add_medium(media: Media, mixture: Mixture, index: int) -> Mixture:
     """Return a mixture with one more medium in it."""
     out = mixture
@@ -181,9 +209,11 @@ def add_medium(media: Media, mixture: Mixture, index: int) -> Mixture:
 @wp.func
 def mixture_of(media: Media, inside: Inside) -> Mixture:
     """Return what a path is in, added up."""
-    out = add_medium(media, Mixture(), media.world)
-    for i in range(STACK_SIZE):
-        out = add_medium(media, out, inside.media[i])
+    out = Mixture()
+    k = int(0)
+    while k < HELD:
+        out = add_medium(media, out, held_medium(media, inside, k))
+        k = k + 1
     return out
 
 
@@ -253,9 +283,10 @@ def choose_phase(media: Media, inside: Inside, u: float) -> PhaseChoice:
     choice = PhaseChoice()
     choice.left = u
     choice.instance = -1
-    choice = choose_among(media, choice, media.world, -1)
-    for i in range(STACK_SIZE):
-        choice = choose_among(media, choice, inside.media[i], inside.objects[i])
+    k = int(0)
+    while k < HELD:
+        choice = choose_among(media, choice, held_medium(media, inside, k), held_object(inside, k))
+        k = k + 1
     return choice
 
 
@@ -281,9 +312,11 @@ def phase_value(media: Media, inside: Inside, cosine: float) -> float:
     As in Cycles (kernel/integrator/volume_shader.h) it is one for all channels. `cosine` is that between the
     directions of travel before and after.
     """
-    sums = add_phases(media, wp.vec2(0.0, 0.0), media.world, cosine)
-    for i in range(STACK_SIZE):
-        sums = add_phases(media, sums, inside.media[i], cosine)
+    sums = wp.vec2(0.0, 0.0)
+    k = int(0)
+    while k < HELD:
+        sums = add_phases(media, sums, held_medium(media, inside, k), cosine)
+        k = k + 1
     return sums[0] / wp.max(sums[1], 1.0e-36)
 
 

@@ -10,8 +10,8 @@ import warp as wp
 
 from .geometry_math import max_component, transform_direction, transform_point
 from .lamp_hit import FAR
-from .media import NO_MEDIUM, STACK_SIZE, Inside, Media
-from .volume_grids import BLOCK, WIDE, VolumeGrid, Volumes, cells_of, grid_of, narrowed, world_grid
+from .media import HELD, NO_MEDIUM, Inside, Media
+from .volume_grids import BLOCK, WIDE, VolumeGrid, Volumes, cells_of, held_at, narrowed
 
 WIDE_POINTS = wp.constant(1.5)
 """Points in the mean up to which a walk goes through a wide block, or the whole box, by the bound of that"""
@@ -91,18 +91,29 @@ def bound_in(
     wide_x = (grid.blocks_x + ratio - 1) / ratio
     wide_y = (grid.blocks_y + ratio - 1) / ratio
     wide_z = (grid.blocks_z + ratio - 1) / ratio
-    held = volumes.bounds[wide + wide_x * wide_y * wide_z]
-    end = block_exit(grid, p, d, 0, 0, 0, wp.max(grid.x, wp.max(grid.y, grid.z)))
-    if end <= 0.0:
-        # Past the box, as by an edge of its mesh that rounding has let through: in the outermost cells a ray would go
-        # on by the least of steps.
-        return bound
-    if held[1] > 0.0 or held[0] * grid.density * end > thin:
-        held = volumes.bounds[wide + ((k / ratio) * wide_y + j / ratio) * wide_x + i / ratio]
-        end = block_exit(grid, p, d, i / ratio, j / ratio, k / ratio, WIDE)
+    # All of it, a wide block, a block: once in the code (media.held_medium).
+    place = wide + wide_x * wide_y * wide_z
+    side = wp.max(grid.x, wp.max(grid.y, grid.z))
+    first = wp.vec3i(0, 0, 0)
+    held = wp.vec2(0.0, 0.0)
+    end = float(0.0)
+    level = int(0)
+    while level < 3:
+        held = volumes.bounds[place]
+        end = block_exit(grid, p, d, first[0], first[1], first[2], side)
+        if level == 0 and end <= 0.0:
+            # Past the box, as by an edge of its mesh that rounding has let through: in the outermost cells a ray would
+            # go on by the least of steps.
+            return bound
+        level = level + 1
         if held[1] > 0.0 or held[0] * grid.density * end > thin:
-            held = volumes.bounds[grid.blocks + (k * grid.blocks_y + j) * grid.blocks_x + i]
-            end = block_exit(grid, p, d, i, j, k, BLOCK)
+            side = wp.where(level == 1, WIDE, BLOCK)
+            first = wp.where(level == 1, wp.vec3i(i / ratio, j / ratio, k / ratio), wp.vec3i(i, j, k))
+            place = wp.where(
+                level == 1, wide + (first[2] * wide_y + first[1]) * wide_x + first[0],
+                grid.blocks + (k * grid.blocks_y + j) * grid.blocks_x + i)
+        else:
+            level = 3
     out = Bound()
     out.end = wp.min(bound.end, begin + wp.max(end, 0.0))
     majorant = held[0] * grid.density
@@ -144,24 +155,21 @@ def bound_at(
     out = Bound()
     out.end = limit
     shining = bool(False)
+    position = origin + direction * t
+    k = int(0)
+    while k < HELD:
+        held = held_at(media, volumes, inside, position, k)
+        if held.grid >= 0:
+            out = bound_in(volumes, out, held.grid, origin, direction, t, thin)
+        elif held.medium != NO_MEDIUM:
+            out.majorant = out.majorant + max_component(media.media[held.medium].extinction)
+            shining = shining or max_component(media.media[held.medium].emission) > 0.0
+        k = k + 1
     if volumes.world >= 0:
-        if world_grid(volumes, origin + direction * t) >= 0:
-            out = bound_in(volumes, out, volumes.world, origin, direction, t, thin)
-        else:
-            entry = world_entry(volumes.grids[volumes.world], origin + direction * t, direction)
+        if held_at(media, volumes, inside, position, 0).grid < 0:
             # Rounding, of what lies that far away.
+            entry = world_entry(volumes.grids[volumes.world], position, direction)
             out.end = wp.min(out.end, (t + entry) * (1.0 + 1.0e-5))
-    elif media.world != NO_MEDIUM:
-        out.majorant = max_component(media.media[media.world].extinction)
-        shining = max_component(media.media[media.world].emission) > 0.0
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                out = bound_in(volumes, out, grid, origin, direction, t, thin)
-            else:
-                out.majorant = out.majorant + max_component(media.media[inside.media[i]].extinction)
-                shining = shining or max_component(media.media[inside.media[i]].emission) > 0.0
     if shining:
         out.majorant = wp.max(out.majorant, GLOW_POINTS / wp.max(out.end - t, 1.0e-30))
     return out

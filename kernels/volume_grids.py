@@ -13,7 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import transform_point
-from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium
+from .media import HELD, NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium, held_medium, held_object
 
 BLOCK = wp.constant(8)
 """Sides of a block in cells"""
@@ -23,7 +23,6 @@ FIELD_PHASES = wp.constant(2)
 """Places in a grid's fields; from the last one on a scattering and an anisotropy for each phase function"""
 WIDE = wp.constant(32)
 """Sides of a wide block in cells"""
-
 
 @wp.struct
 class Field:
@@ -189,15 +188,27 @@ def tabled(volumes: Volumes, spot: Spot, channel: int) -> float:
 
 
 @wp.func
+def with_channel(field: Field, found: wp.vec3, c: int, value: float) -> wp.vec3:
+    """Return a coefficient once channel c of it has been looked up."""
+    if field.wide == 0:
+        return field.color * value
+    return wp.vec3(wp.where(c == 0, value, found[0]), wp.where(c == 1, value, found[1]),
+                   wp.where(c == 2, value, found[2]))
+
+
+@wp.func
 def field_at(volumes: Volumes, spot: Spot, index: int) -> wp.vec3:
     """Return a coefficient at a point."""
     field = volumes.fields[index]
     if field.channel < 0:
         return field.color
-    first = tabled(volumes, spot, field.channel)
-    if field.wide == 0:
-        return field.color * first
-    return wp.vec3(first, tabled(volumes, spot, field.channel + 1), tabled(volumes, spot, field.channel + 2))
+    out = field.color
+    c = int(0)
+    # One look-up in the code for all channels, see media.held_medium.
+    while c < 1 + 2 * field.wide:
+        out = with_channel(field, out, c, tabled(volumes, spot, field.channel + c))
+        c = c + 1
+    return out
 
 
 @wp.func
@@ -206,44 +217,71 @@ def add_grid(volumes: Volumes, mixture: Mixture, index: int, position: wp.vec3) 
     out = mixture
     grid = volumes.grids[index]
     spot = spot_of(grid, position)
-    field = volumes.fields[grid.fields + FIELD_EXTINCTION]
     channel = int(-1)
     value = float(0.0)
-    if field.channel >= 0 and field.wide == 0:
-        # Most coefficients are this number times a colour.
-        channel = field.channel
-        value = tabled(volumes, spot, channel)
-        out.extinction = out.extinction + field.color * (value * grid.density)
-    else:
-        out.extinction = out.extinction + field_at(volumes, spot, grid.fields + FIELD_EXTINCTION) * grid.density
-    out.emission = out.emission + field_at(volumes, spot, grid.fields + FIELD_EMISSION)
-    k = int(0)
-    while k < grid.phases:
-        place = grid.fields + FIELD_PHASES + 2 * k
-        field = volumes.fields[place]
-        scattering = field.color * value
-        if field.channel != channel or field.wide == 1 or channel < 0:
-            scattering = field_at(volumes, spot, place)
-        out.scattering = out.scattering + scattering * grid.density
-        k = k + 1
+    k = int(FIELD_EXTINCTION)
+    # One look-up in the code for all coefficients, see media.held_medium.
+    while k < FIELD_PHASES + 2 * grid.phases:
+        field = volumes.fields[grid.fields + k]
+        found = field.color
+        c = int(0)
+        while field.channel >= 0 and c < 1 + 2 * field.wide:
+            # Most coefficients are the same number times a colour.
+            if field.channel + c != channel:
+                channel = field.channel + c
+                value = tabled(volumes, spot, channel)
+            found = with_channel(field, found, c, value)
+            c = c + 1
+        if k == FIELD_EXTINCTION:
+            out.extinction = out.extinction + found * grid.density
+        elif k == FIELD_EMISSION:
+            out.emission = out.emission + found
+        else:
+            out.scattering = out.scattering + found * grid.density
+        k = k + wp.where(k < FIELD_PHASES, 1, 2)
     return out
+
+
+@wp.struct
+class Held:
+    """One of what a path is in at a point."""
+
+    medium: int
+    """NO_MEDIUM: nothing"""
+    grid: int
+    """-1: the medium is the same everywhere"""
+    object: int
+    """Instance; -1 for the world"""
+
+
+@wp.func
+def held_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, k: int) -> Held:
+    """Return one of the HELD media of a path; see media.held_medium."""
+    held = Held()
+    held.grid = -1
+    held.object = -1
+    held.medium = held_medium(media, inside, k)
+    if k == 0:
+        if volumes.world >= 0:
+            held.grid = world_grid(volumes, position)
+            if held.grid < 0:
+                held.medium = NO_MEDIUM
+    elif held.medium != NO_MEDIUM:
+        held.object = held_object(inside, k)
+        held.grid = grid_of(volumes, held.medium, held.object)
+    return held
 
 
 @wp.func
 def mixture_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3) -> Mixture:
     """Return what a path is in at a point, added up."""
     out = Mixture()
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            out = add_grid(volumes, out, about, position)
-    else:
-        out = add_medium(media, out, media.world)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                out = add_grid(volumes, out, grid, position)
-            else:
-                out = add_medium(media, out, inside.media[i])
+    k = int(0)
+    while k < HELD:
+        held = held_at(media, volumes, inside, position, k)
+        if held.grid >= 0:
+            out = add_grid(volumes, out, held.grid, position)
+        else:
+            out = add_medium(media, out, held.medium)
+        k = k + 1
     return out

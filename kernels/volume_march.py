@@ -107,7 +107,7 @@ def march_through(
     return False
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def march_volumes(
     # In:
     scene: Scene,

@@ -6,9 +6,9 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import mean_component
-from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, PhaseChoice, add_phases, choose_among
+from .media import HELD, NO_MEDIUM, Inside, Media, PhaseChoice, add_phases, choose_among
 from .subsurface import phase
-from .volume_grids import FIELD_PHASES, Volumes, field_at, grid_of, spot_of, world_grid
+from .volume_grids import FIELD_PHASES, Volumes, field_at, held_at, spot_of
 
 
 @wp.func
@@ -42,19 +42,14 @@ def choose_phase_at(media: Media, volumes: Volumes, inside: Inside, position: wp
     choice = PhaseChoice()
     choice.left = u
     choice.instance = -1
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            choice = weigh_phases(volumes, choice, about, -1, position)
-    else:
-        choice = choose_among(media, choice, media.world, -1)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                choice = weigh_phases(volumes, choice, grid, inside.objects[i], position)
-            else:
-                choice = choose_among(media, choice, inside.media[i], inside.objects[i])
+    k = int(0)
+    while k < HELD:
+        held = held_at(media, volumes, inside, position, k)
+        if held.grid >= 0:
+            choice = weigh_phases(volumes, choice, held.grid, held.object, position)
+        else:
+            choice = choose_among(media, choice, held.medium, held.object)
+        k = k + 1
     return choice
 
 
@@ -78,19 +73,14 @@ def add_phases_of(volumes: Volumes, sums: wp.vec2, index: int, position: wp.vec3
 def phase_value_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3, cosine: float) -> float:
     """Return the share of light scattered at a point that goes on at an angle; see media.phase_value."""
     sums = wp.vec2(0.0, 0.0)
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            sums = add_phases_of(volumes, sums, about, position, cosine)
-    else:
-        sums = add_phases(media, sums, media.world, cosine)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                sums = add_phases_of(volumes, sums, grid, position, cosine)
-            else:
-                sums = add_phases(media, sums, inside.media[i], cosine)
+    k = int(0)
+    while k < HELD:
+        held = held_at(media, volumes, inside, position, k)
+        if held.grid >= 0:
+            sums = add_phases_of(volumes, sums, held.grid, position, cosine)
+        else:
+            sums = add_phases(media, sums, held.medium, cosine)
+        k = k + 1
     return sums[0] / wp.max(sums[1], 1.0e-36)
 
 
@@ -128,17 +118,12 @@ def add_cosines_of(volumes: Volumes, sums: wp.vec2, index: int, position: wp.vec
 def mean_cosine_at(media: Media, volumes: Volumes, inside: Inside, position: wp.vec3) -> float:
     """Return the mean cosine of scattering at a point."""
     sums = wp.vec2(0.0, 0.0)
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            sums = add_cosines_of(volumes, sums, about, position)
-    else:
-        sums = add_cosines(media, sums, media.world)
-    for i in range(STACK_SIZE):
-        if inside.media[i] != NO_MEDIUM:
-            grid = grid_of(volumes, inside.media[i], inside.objects[i])
-            if grid >= 0:
-                sums = add_cosines_of(volumes, sums, grid, position)
-            else:
-                sums = add_cosines(media, sums, inside.media[i])
+    k = int(0)
+    while k < HELD:
+        held = held_at(media, volumes, inside, position, k)
+        if held.grid >= 0:
+            sums = add_cosines_of(volumes, sums, held.grid, position)
+        else:
+            sums = add_cosines(media, sums, held.medium)
+        k = k + 1
     return sums[0] / wp.max(sums[1], 1.0e-36)

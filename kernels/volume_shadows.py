@@ -62,7 +62,7 @@ def share_through_volumes(
     return wp.vec3(0.0, 0.0, 0.0)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def weaken_in_volumes(
     # In:
     scene: Scene,

@@ -13,38 +13,18 @@ import warp as wp
 
 from .geometry_math import max_component, mean_component
 from .light_groups import GroupLight, GroupTables
-from .media import NO_MEDIUM, STACK_SIZE, Inside, Media, Mixture, add_medium, mixture_of, passing
+from .media import HELD, NO_MEDIUM, Inside, Media, Mixture, add_medium, mixture_of, passing
 from .media_distance import Passage
 from .media_steps import add_met
 from .paths import Options, Paths, add_light, limit_at
 from .sampling import hash_combine, hashed_unit
-from .volume_bounds import WIDE_POINTS, bound_at
-from .volume_grids import Volumes, add_grid, grid_of, mixture_at, varies, world_grid
+from .volume_bounds import WIDE_POINTS, Bound, bound_at
+from .volume_grids import Volumes, add_grid, held_at, mixture_at, varies
 
 WALK_STEPS = wp.constant(1 << 16)
 """Points and blocks that a walk meets at most"""
 FAINT = wp.constant(0.05)
 """Of what a walk began with, what is left where chance decides whether it goes on"""
-
-
-@wp.func
-def part_at(volumes: Volumes, media: Media, index: int, instance: int, position: wp.vec3) -> wp.vec3:
-    """Return what one of an object's media emits at a point."""
-    grid = grid_of(volumes, index, instance)
-    if grid >= 0:
-        return add_grid(volumes, Mixture(), grid, position).emission
-    return media.media[index].emission
-
-
-@wp.func
-def world_part_at(volumes: Volumes, media: Media, position: wp.vec3) -> wp.vec3:
-    """Return what the world's medium emits at a point."""
-    if volumes.world >= 0:
-        about = world_grid(volumes, position)
-        if about >= 0:
-            return add_grid(volumes, Mixture(), about, position).emission
-        return wp.vec3(0.0, 0.0, 0.0)
-    return add_medium(media, Mixture(), media.world).emission
 
 
 @wp.func
@@ -55,11 +35,20 @@ def gather_shine(
     """Add what media emit at a point, as much as `share` says, with light groups to these as well."""
     add_light(paths, path, wp.cw_mul(share, emission), limit_at(options, paths.state[path]))
     if groups.known.shape[0] > 0:
-        add_met(options, groups, tables.world, paths, path, wp.cw_mul(share, world_part_at(volumes, media, position)))
-        for i in range(STACK_SIZE):
-            if inside.media[i] != NO_MEDIUM:
-                part = part_at(volumes, media, inside.media[i], inside.objects[i], position)
-                add_met(options, groups, tables.instances[inside.objects[i]], paths, path, wp.cw_mul(share, part))
+        k = int(0)
+        while k < HELD:
+            held = held_at(media, volumes, inside, position, k)
+            part = Mixture()
+            if held.grid >= 0:
+                part = add_grid(volumes, part, held.grid, position)
+            else:
+                part = add_medium(media, part, held.medium)
+            if held.medium != NO_MEDIUM:
+                group = tables.world
+                if held.object >= 0:
+                    group = tables.instances[held.object]
+                add_met(options, groups, group, paths, path, wp.cw_mul(share, part.emission))
+            k = k + 1
 
 
 @wp.func
@@ -76,10 +65,12 @@ def walk_media(
     out = Passage()
     out.weight = wp.vec3(1.0, 1.0, 1.0)
     t = float(start)
+    bound = Bound()
     step = int(0)
     going = bool(t < end)
     while going and step < WALK_STEPS:
-        bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
+        if t >= bound.end:
+            bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
         ahead = bound.end
         if bound.majorant > 0.0:
@@ -130,9 +121,11 @@ def share_of_way(
         return passing(mixture_of(media, inside).extinction, end - start)
     share = wp.vec3(1.0, 1.0, 1.0)
     t = float(start)
+    bound = Bound()
     step = int(0)
     while t < end and step < WALK_STEPS:
-        bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
+        if t >= bound.end:
+            bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
         ahead = bound.end
         if bound.majorant > 0.0:

@@ -30,6 +30,7 @@ from ..frame_graph import FrameGraph
 from ..settings import CacheKey, CacheSettings
 from ..structures import decides_layers, is_flat, without_opaque
 from ..work_list import WorkList
+from .fog_ways import FogWays
 from .layer_rays import record_shadow_layers
 
 __all__ = [
@@ -160,7 +161,7 @@ def record_insertion(
 
 def record_materials(
     graph: FrameGraph, scene: Scene, views: wp.array, paths: Paths, vertices: Vertices, world: wp.array, offset: int,
-    count: int, what: list, left: WorkList | None, fog: Fog | None,
+    count: int, what: list, left: WorkList | None, ways: FogWays | None,
 ) -> None:
     """Record what the hits of `count` rays from slot `offset` on are made of, and what fog before them does.
 
@@ -175,7 +176,7 @@ def record_materials(
         count: Number of slots.
         what: `bounce`, `weighed`, `threshold` and `filtered` of evaluate_cache_materials.
         left: Room for those hits that need the full node machine; None: there are none.
-        fog: None: there is none.
+        ways: What fog does on their ways; None: there is none.
     """
     what = [*what, paths]
     graph.launch(cache_lean.evaluate_cache_lean, count, [views, scene, world, offset, *what], [vertices])
@@ -183,8 +184,8 @@ def record_materials(
         graph.fill_list(compaction.append_left_hits, count, [vertices.emission, offset], left)
         graph.launch_listed(
             cache_materials.evaluate_cache_materials, [views, scene, *what], left, [vertices], few=True)
-    if fog is not None:
-        graph.launch(fog_rays.dim_cache_rays, count, [views, scene, fog, offset, paths], [vertices])
+    if ways is not None:
+        ways.record(graph, views, scene, paths, vertices, offset, count)
 
 
 def record_sums(
@@ -222,10 +223,10 @@ def record_shadow_rays(
         programs: Whether lights may be programs (DeviceScene.has_hit_programs).
         fog: What is in their way; None: nothing.
     """
-    if fog is not None:
-        graph.launch(fog_rays.dim_shadow_rays, count, [views, scene, fog, offset], [paths])
     under_way = under_way.part(offset, count)
     graph.fill_list(compaction.append_shadows, count, [paths, offset], under_way)
+    if fog is not None:
+        graph.launch_listed(fog_rays.dim_listed_shadow_rays, [views, scene, fog], under_way, [paths])
     between = scene
     if passes_glass(scene):
         dim = clear_tracing.dim_flat_cache_shadows if is_flat(scene) else clear_tracing.dim_cache_shadows

@@ -189,7 +189,7 @@ class DirectLightPass:
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
         with graph.section("Direct shadows"):
             if fog is not None:
-                graph.launch(fog_rays.dim_shadow_rays, self.slots, [views, scene, fog, 0], [self.rays])
+                graph.launch(fog_rays.dim_shadow_rays, self.slots, [views, scene, fog], [self.rays])
             record_shadows(
                 graph, scene, self.rays, self.slots, self.queue, self.layered, filtered=filtered, lean=lean_layers)
             if textured:

@@ -34,6 +34,7 @@ from ..history import History, copy_struct
 from ..shadow_rays import make_options, make_shadow_rays
 from ..work_list import make_queue, make_work_list, one_number
 from .cache_spreading import LightPhase
+from .fog_ways import FogWays
 from .layer_rays import record_shadows
 
 __all__ = ["FOG", "FogPass"]
@@ -172,14 +173,16 @@ class FogPass:
     ) -> None:
         """Record finding what becomes of the light of the samples."""
         slots = self.froxels + self.cells
-        graph.launch(fog_rays.dim_shadow_rays, slots, [self._views, scene, fog, 0], [rays])
+        graph.launch(fog_rays.dim_shadow_rays, slots, [self._views, scene, fog], [rays])
         record_shadows(graph, scene, rays, slots, self._queue, self._layered, filtered=filtered, lean=lean_layers)
         if textured:
             graph.launch_queued(
                 shadow_lights.shade_lights, [scene, make_options(filtered=filtered), one_number(0, self.device)],
                 self._queue, [rays])
 
-    def record_light(self, graph: FrameGraph, parity: int, scene: Scene, fog: Fog, phase: LightPhase) -> None:
+    def record_light(
+        self, graph: FrameGraph, parity: int, scene: Scene, fog: Fog, ways: FogWays, phase: LightPhase,
+    ) -> None:
         """Record taking in what cells and froxels have found, and adding fog to the radiance cache's answers.
 
         Comes after these. Each sweep reads what the one before it has written.
@@ -202,7 +205,7 @@ class FogPass:
                 read = copy_struct(fog)
                 read.light = written
             read.towards = read.light
-            graph.launch(fog_rays.add_fog_light, fog.first_ray, [views, scene, read], [self._answers])
+            ways.record_light(graph, views, read, self._answers)
         with graph.branch(FOG), graph.section("Fog light"):
             now, before = self.light.current(parity), self.light.previous(parity)
             graph.launch(

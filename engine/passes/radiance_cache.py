@@ -46,6 +46,7 @@ from .cache_spreading import (
     record_spreading,
     sweeps,
 )
+from .fog_ways import FogWays
 from .layer_rays import record_hits
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
@@ -95,6 +96,8 @@ class RadianceCachePass:
         self.further: tuple[int, ...] = ()
         """Bounce rays from where this frame's have ended, and from there again, while light spreads"""
         self._layers = False
+        self.ways: FogWays | None = None
+        """The fog along all rays"""
         self._views: wp.array | None = None
         self._gbuffer: dict[int, GBuffer] = {}
 
@@ -211,10 +214,11 @@ class RadianceCachePass:
         world: wp.array | None, fog: Fog | None,
     ) -> None:
         """Take in what a record needs to know, and allocate for it."""
-        self._all_lean, self._lean_layers, self._fog = all_lean, lean_layers, fog
+        self._all_lean, self._lean_layers = all_lean, lean_layers
         self._world = self._zeros(1, wp.vec3) if world is None else world
         self.grid.minimum = minimum_cell
         self._fit(count, filtered)
+        self.ways = fog and FogWays.make(fog, self.count + self.most_bounces, self.device, self.ways)
 
     def record_pending(
         self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, minimum_cell: float,
@@ -276,7 +280,7 @@ class RadianceCachePass:
                 left = self.left.part(offset, count)
             record_materials(
                 graph, scene, views, self.paths, self.vertices, self._world, offset, count,
-                [int(offset > 0), self.grid.weighed, threshold, int(self._layers)], left, self._fog)
+                [int(offset > 0), self.grid.weighed, threshold, int(self._layers)], left, self.ways)
 
     def _record_insertion(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
         """Record finding or making the cells of the hits of `count` rays from slot `offset` on."""
@@ -332,7 +336,8 @@ class RadianceCachePass:
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
                 graph, views, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
-                filtered=has_layers(scene), lean_layers=self._lean_layers, programs=programs, fog=self._fog)
+                filtered=has_layers(scene), lean_layers=self._lean_layers, programs=programs,
+                fog=self.ways and self.ways.fog)
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,

@@ -103,6 +103,21 @@ def test_thick_bodies_have_grids_of_their_own():
     assert thick > thin
 
 
+def test_rays_walk_through_what_varies_alone():
+    """Go through fog by steps where some varies: even fog has formulas, and no list of rays to walk."""
+    kernels = {}
+    for name, medium in (("even", cloud(1.0)), ("varying", ball(1.0))):
+        session = drawn(fog_box(medium, background=0.3, lights=[SUN], **FLOOR), 1)
+        session.timed = True
+        session.step(1)
+        kernels[name] = set(session.kernel_times)
+    assert {"dim_cache_rays", "add_fog_light"} <= kernels["even"]
+    assert kernels["varying"] - kernels["even"] == {"walk_cache_rays"}
+    # What they have found is asked for its light once the fog knows this frame's.
+    ways = session.pipeline.cache.ways.ways
+    assert (ways.varies.numpy() == 1).any() and ways.weight.numpy().max() > 0.0
+
+
 def test_moved_fog_keeps_the_frame_that_was_recorded():
     """Move a body by the rows of its grids: nothing that a frame has recorded is elsewhere."""
     medium = ball(3.0)
