@@ -84,6 +84,12 @@ class Fog:
 
 
 @wp.func
+def cells_a_grid(fog: Fog) -> int:
+    """Return how many cells each grid has."""
+    return fog.side * fog.side * fog.side
+
+
+@wp.func
 def cell_width(fog: Fog, level: int) -> float:
     """Return the width of a level's cells [m]."""
     return fog.grids[level].cell

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .fog import MOMENTS, Fog, cell_width, scattered_light
+from .fog import MOMENTS, Fog, cell_width, cells_a_grid, scattered_light
 from .fog_blend import factor_of
 from .fog_passage import link_fog
 from .froxels import FroxelOptions, has_changed
@@ -117,7 +117,7 @@ def link_cells(
     length = wp.where(length < MISS_DISTANCE, length, FAR)
     link = link_fog(
         scene, fog, origin, direction, length, VISIBLE_DIFFUSE,
-        cell_width(fog, cell // (fog.side * fog.side * fog.side)), True,
+        cell_width(fog, cell // cells_a_grid(fog)), True,
         hash_combine(pixel_seed_of(index, 0, STREAM), wp.uint32(view.frame)))
     links_out.place[index] = rgba(link.place, link.anisotropy)
     links_out.weight[index] = rgba(link.weight, 0.0)

@@ -17,7 +17,7 @@ from .types import Scene
 from .volume_bounds import WIDE_POINTS, Bound, bound_at
 from .volume_grids import mixture_at, varies
 from .volume_phases import add_cosines, mean_cosine_at
-from .volume_walk import FAINT, share_of_way
+from .volume_walk import FAINT, halved, next_point, share_of_way
 
 LEAST_DEPTH = wp.constant(1.0e-3)
 """Optical depth below which places on a stretch are drawn evenly"""
@@ -203,9 +203,7 @@ def walk_through(
             majorant = wp.where(
                 bound.majorant > 0.0, wp.max(bound.majorant, BLOCK_POINTS / wp.max(bound.end - t, 1.0e-30)), 0.0)
         number = hash_combine(seed, wp.uint32(step))
-        ahead = bound.end
-        if majorant > 0.0:
-            ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / majorant
+        ahead = next_point(t, bound.end, majorant, number)
         if ahead >= bound.end:
             t = bound.end
         else:
@@ -218,9 +216,7 @@ def walk_through(
             out.passing = wp.cw_mul(out.passing, wp.max(
                 wp.vec3(1.0, 1.0, 1.0) - mixture.extinction / majorant, wp.vec3(0.0, 0.0, 0.0)))
             if max_component(out.passing) < FAINT * begun:
-                # Half go on, twice as bright.
-                out.passing = wp.where(
-                    hashed_unit(number, wp.uint32(1)) < 0.5, out.passing * 2.0, wp.vec3(0.0, 0.0, 0.0))
+                out.passing = halved(out.passing, hashed_unit(number, wp.uint32(1)))
                 if not max_component(out.passing) > 0.0:
                     t = end
         step = step + 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import IDLE, Vertices
-from .fog import Fog, scattered_light
+from .fog import Fog, cells_a_grid, scattered_light
 from .fog_passage import FogLink, link_fog, passing_between, through_fog
 from .geometry_math import is_finite3
 from .intersect import MISS
@@ -75,7 +75,7 @@ def take_way(view: View, fog: Fog, paths: Paths, slot: int, way: FogLink, vertic
         light = light + way.light
         ways_out.place[slot] = rgba(way.place, way.anisotropy)
         ways_out.weight[slot] = rgba(way.weight, 0.0)
-    elif slot >= fog.first_ray + fog.levels * fog.side * fog.side * fog.side:
+    elif slot >= fog.first_ray + fog.levels * cells_a_grid(fog):
         light = light + way.light
         if way.total > 0.0:
             light = light + wp.cw_mul(way.weight, scattered_light(

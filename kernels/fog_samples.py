@@ -11,7 +11,7 @@ import warp as wp
 
 from .direct_shadow import start_factor
 from .environment_split import EnvironmentSplit
-from .fog import Fog, cell_key, cell_width, first_cell, fog_about, is_own, wrapped
+from .fog import Fog, cell_key, cell_width, cells_a_grid, first_cell, fog_about, is_own, wrapped
 from .fog_passage import anisotropy_at, fog_at
 from .froxels import (
     FroxelOptions,
@@ -200,8 +200,8 @@ def grid_place(
 ) -> FogPlace:
     """Return a place in a cell, which forgets what it knew if it stands for another place than before."""
     place = FogPlace()
-    level = cell // (fog.side * fog.side * fog.side)
-    at = cell - level * fog.side * fog.side * fog.side
+    level = cell // cells_a_grid(fog)
+    at = cell - level * cells_a_grid(fog)
     eye = eye_position(view.camera)
     low_x = first_cell(fog, eye, level, 0)
     low_y = first_cell(fog, eye, level, 1)

@@ -18,14 +18,16 @@ from .lamp_hit import FAR
 from .light_groups import GroupLight, GroupTables, forget_groups
 from .light_tree import choose_by_tree
 from .media import (
+    HELD,
     NO_MEDIUM,
-    STACK_SIZE,
     Inside,
     Media,
     MediaPaths,
     Mixture,
     cross,
     emitted,
+    held_medium,
+    held_object,
     load_inside,
     mixture_of,
     nowhere,
@@ -39,6 +41,7 @@ from .media_steps import (
     add_met,
     arrive,
     end_scattered,
+    group_of,
     lamp_between,
     meet_layer,
     reach_before,
@@ -134,14 +137,14 @@ def gather_glow(
     if groups.known.shape[0] > 0:
         part = Mixture()
         part.extinction = mixture.extinction
-        if media.world != NO_MEDIUM:
-            part.emission = media.media[media.world].emission
-            add_met(options, groups, tables.world, paths, path, wp.cw_mul(throughput, emitted(part, stretch)))
-        for i in range(STACK_SIZE):
-            if inside.media[i] != NO_MEDIUM:
-                part.emission = media.media[inside.media[i]].emission
-                add_met(options, groups, tables.instances[inside.objects[i]], paths, path,
+        k = int(0)
+        while k < HELD:
+            medium = held_medium(media, inside, k)
+            if medium != NO_MEDIUM:
+                part.emission = media.media[medium].emission
+                add_met(options, groups, group_of(tables, held_object(inside, k)), paths, path,
                         wp.cw_mul(throughput, emitted(part, stretch)))
+            k = k + 1
 
 
 @wp.func

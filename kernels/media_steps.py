@@ -62,6 +62,14 @@ def add_met(options: Options, groups: GroupLight, group: int, paths: Paths, path
 
 
 @wp.func
+def group_of(tables: GroupTables, instance: int) -> int:
+    """Return the light group of what an object's medium emits; `instance` -1: the world's."""
+    if instance < 0:
+        return tables.world
+    return tables.instances[instance]
+
+
+@wp.func
 def add_lamp(
     options: Options, tables: GroupTables, groups: GroupLight, paths: Paths, path: int, lamp: int, light: wp.vec3,
 ):

@@ -164,12 +164,11 @@ def bound_at(
         elif held.medium != NO_MEDIUM:
             out.majorant = out.majorant + max_component(media.media[held.medium].extinction)
             shining = shining or max_component(media.media[held.medium].emission) > 0.0
-        k = k + 1
-    if volumes.world >= 0:
-        if held_at(media, volumes, inside, position, 0).grid < 0:
-            # Rounding, of what lies that far away.
+        elif k == 0 and volumes.world >= 0:
+            # Beyond the world's box. Rounding, of what lies that far away.
             entry = world_entry(volumes.grids[volumes.world], position, direction)
             out.end = wp.min(out.end, (t + entry) * (1.0 + 1.0e-5))
+        k = k + 1
     if shining:
         out.majorant = wp.max(out.majorant, GLOW_POINTS / wp.max(out.end - t, 1.0e-30))
     return out

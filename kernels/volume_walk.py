@@ -15,7 +15,7 @@ from .geometry_math import max_component, mean_component
 from .light_groups import GroupLight, GroupTables
 from .media import HELD, NO_MEDIUM, Inside, Media, Mixture, add_medium, mixture_of, passing
 from .media_distance import Passage
-from .media_steps import add_met
+from .media_steps import add_met, group_of
 from .paths import Options, Paths, add_light, limit_at
 from .sampling import hash_combine, hashed_unit
 from .volume_bounds import WIDE_POINTS, Bound, bound_at
@@ -25,6 +25,20 @@ WALK_STEPS = wp.constant(1 << 16)
 """Points and blocks that a walk meets at most"""
 FAINT = wp.constant(0.05)
 """Of what a walk began with, what is left where chance decides whether it goes on"""
+
+
+@wp.func
+def next_point(t: float, end: float, majorant: float, number: wp.uint32) -> float:
+    """Return how far from its origin a walk at `t` meets the next point; `end` or more: none up to there [m]."""
+    if majorant > 0.0:
+        return t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / majorant
+    return end
+
+
+@wp.func
+def halved(share: wp.vec3, u: float) -> wp.vec3:
+    """Return what becomes of a faint share: half go on, twice as bright."""
+    return wp.where(u < 0.5, share * 2.0, wp.vec3(0.0, 0.0, 0.0))
 
 
 @wp.func
@@ -44,10 +58,7 @@ def gather_shine(
             else:
                 part = add_medium(media, part, held.medium)
             if held.medium != NO_MEDIUM:
-                group = tables.world
-                if held.object >= 0:
-                    group = tables.instances[held.object]
-                add_met(options, groups, group, paths, path, wp.cw_mul(share, part.emission))
+                add_met(options, groups, group_of(tables, held.object), paths, path, wp.cw_mul(share, part.emission))
             k = k + 1
 
 
@@ -72,9 +83,7 @@ def walk_media(
         if t >= bound.end:
             bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
-        ahead = bound.end
-        if bound.majorant > 0.0:
-            ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / bound.majorant
+        ahead = next_point(t, bound.end, bound.majorant, number)
         if ahead >= bound.end:
             t = bound.end
             going = t < end
@@ -103,9 +112,7 @@ def walk_media(
             else:
                 out.weight = wp.cw_mul(out.weight, passed) / (bound.majorant * (1.0 - chance))
                 if max_component(out.weight) < FAINT:
-                    # Half go on, twice as bright.
-                    out.weight = wp.where(
-                        hashed_unit(number, wp.uint32(2)) < 0.5, out.weight * 2.0, wp.vec3(0.0, 0.0, 0.0))
+                    out.weight = halved(out.weight, hashed_unit(number, wp.uint32(2)))
                     going = max_component(out.weight) > 0.0
         step = step + 1
     return out
@@ -127,9 +134,7 @@ def share_of_way(
         if t >= bound.end:
             bound = bound_at(media, volumes, inside, origin, direction, t, end, WIDE_POINTS)
         number = hash_combine(seed, wp.uint32(step))
-        ahead = bound.end
-        if bound.majorant > 0.0:
-            ahead = t - wp.log(1.0 - hashed_unit(number, wp.uint32(0))) / bound.majorant
+        ahead = next_point(t, bound.end, bound.majorant, number)
         if ahead >= bound.end:
             t = bound.end
         else:
@@ -138,10 +143,7 @@ def share_of_way(
             share = wp.cw_mul(share, wp.max(
                 wp.vec3(1.0, 1.0, 1.0) - extinction / bound.majorant, wp.vec3(0.0, 0.0, 0.0)))
             if max_component(share) < FAINT:
-                if hashed_unit(number, wp.uint32(1)) < 0.5:
-                    share = share * 2.0
-                else:
-                    share = wp.vec3(0.0, 0.0, 0.0)
+                share = halved(share, hashed_unit(number, wp.uint32(1)))
                 if not max_component(share) > 0.0:
                     t = end
         step = step + 1

@@ -25,8 +25,6 @@ class FogWays:
 
     fog: Fog
     """As it is lit so far"""
-    slots: int
-    """Rays"""
     ways: fog_rays.FogWays
     walking: WorkList
     """Room for rays that go through fog that varies"""
@@ -35,12 +33,12 @@ class FogWays:
     def make(cls, fog: Fog, slots: int, device: str, before: FogWays | None) -> FogWays:
         """Return room for `slots` rays, that of before if it is right: 8 bytes each, 32 more before `Fog.first_ray`."""
         if before is not None and (slots, fog.first_ray, fog.varying) == (
-                before.slots, before.fog.first_ray, before.fog.varying):
+                len(before.ways.varies), before.fog.first_ray, before.fog.varying):
             return replace(before, fog=fog)
         ways, asking = fog_rays.FogWays(), fog.first_ray
         ways.varies = wp.zeros(slots, dtype=int, device=device)
         ways.place, ways.weight = (wp.zeros(asking, dtype=wp.vec4, device=device) for _ in range(2))
-        return cls(fog, slots, ways, make_work_list(slots if fog.varying else 1, device))
+        return cls(fog, ways, make_work_list(slots if fog.varying else 1, device))
 
     def record(
         self, graph: FrameGraph, views: wp.array, scene: Scene, paths: Paths, vertices: Vertices, offset: int,
