@@ -26,13 +26,13 @@ class FlatStructure:
         self._nothing = wp.empty(0, dtype=wp.uint32, device=device)
 
     def build(
-        self, points: wp.array, indices: list[np.ndarray], faces: list[np.ndarray], *, splitting: bool = True,
+        self, points: wp.array, indices: list[np.ndarray], faces: list[np.ndarray], *, opaque: bool = True,
     ) -> None:
         """Build over triangles: indices into world-space points and (instance, triangle) of each, in parts."""
         if sum(len(part) for part in indices) == 0:
             return
         self.wide = build_wide(
-            points, wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device), splitting=splitting)
+            points, wp.array(np.concatenate(indices).ravel(), dtype=int, device=self.device), opaque=opaque)
         self.faces = wp.array(np.concatenate(faces), dtype=wp.vec2i, device=self.device)
 
     def struct(self) -> FlatTriangles:
@@ -42,4 +42,5 @@ class FlatStructure:
         flat.triangles = self._nothing if self.wide is None else self.wide.triangles
         flat.faces = self.faces
         flat.decided = int(self.decided)
+        flat.tubes = int(self.wide is not None and self.wide.tubes)
         return flat

@@ -78,7 +78,7 @@ class ObjectTrees:
     """Trees of meshes that are built, and deformed, together."""
 
     def __init__(
-        self, points: wp.array, parts: list[np.ndarray], *, deforming: bool = False, splitting: bool = True,
+        self, points: wp.array, parts: list[np.ndarray], *, deforming: bool = False, opaque: bool = True,
     ):
         """Build them.
 
@@ -86,7 +86,7 @@ class ObjectTrees:
             points: vec3 [V], in object space.
             parts: int32 [T, 3] of each mesh, into the points; T > 0.
             deforming: Whether they shall follow moving vertices.
-            splitting: Whether large slanted triangles of large meshes may get several references, where that pays.
+            opaque: Whether rays ask for hits, not for layers; see build_wide.
 
         Raises:
             InvalidScene: One has too many triangles.
@@ -102,7 +102,7 @@ class ObjectTrees:
         ends = np.cumsum(counts[forest])
         for members in np.split(forest, np.flatnonzero(np.diff(ends // FOREST)) + 1) if len(forest) else []:
             indices = self._upload(points, [parts[i] for i in members])
-            wide = build_forest(points, indices, counts[members])
+            wide = build_forest(points, indices, counts[members], opaque=opaque)
             if wide is None:
                 alone = np.concatenate([alone, members])
                 continue
@@ -111,7 +111,7 @@ class ObjectTrees:
             trees.update((i, MeshTree(wide, root, first[root])) for root, i in enumerate(members.tolist()))
         for i in alone.tolist():
             indices = self._upload(points, [parts[i]])
-            wide = build_wide(points, indices, splitting=splitting and not deforming)
+            wide = build_wide(points, indices, opaque=opaque, deforming=deforming)
             self._built.append((wide, indices, _Area(points.device.alias)))
             trees[i] = MeshTree(wide, 0, 0)
         if deforming:
@@ -138,7 +138,8 @@ class ObjectTrees:
 
     def _fit(self, points: wp.array) -> None:
         for wide, indices, area in self._built:
-            launch(place_triangles, wide.references, [points, indices], [wide.triangles], points.device.alias)
+            launch(place_triangles, wide.references, [points, indices, wide.parts], [wide.triangles],
+                   points.device.alias)
             area.note(*wide.refit())
 
 
@@ -240,4 +241,5 @@ class InstanceLevel:
         """Return it as kernels take it: the same after moves."""
         level = types.InstanceLevel()
         level.nodes, level.records = self._wide.nodes.ptr, self._records.ptr
+        level.tubes = int(any(wide.tubes for wide in self._wides))
         return level

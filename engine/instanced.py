@@ -126,7 +126,7 @@ class InstancedMeshes:
                 # A layer is met once, by which its search goes on; and maps lie where splits are told.
                 built = ObjectTrees(
                     store.positions.array, [part.corners(store.ranges[use[0]]) for use, part in parts.items()],
-                    deforming=edited, splitting=kind == 0)
+                    deforming=edited, opaque=kind == 0)
                 for part, tree in zip(parts.values(), built.trees, strict=True):
                     part.tree, part.built = tree, built
 

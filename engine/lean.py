@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which programs the lean node machine (kernels/node_lean.py) can run: common instructions, one plain closure."""
+"""Which programs the lean node machine (kernels/node_lean.py) can run, and which need other kernels than most.
+
+The lean one knows common instructions and one plain closure.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,11 @@ from dataclasses import dataclass
 
 from ..kernels import node_codes as codes
 from ..kernels.node_lean import LEAN_REGISTERS
-from ..kernels.types import CLOSURE_DIFFUSE, CLOSURE_PRINCIPLED
+from ..kernels.types import CLOSURE_DIFFUSE, CLOSURE_HAIR, CLOSURE_PRINCIPLED
 from .program import Program
 from .program_layout import OPERANDS, Instruction
 
-__all__ = ["LeanPrograms", "has_film", "is_lean", "is_lean_transparency"]
+__all__ = ["LeanPrograms", "has_film", "is_lean", "is_lean_strand", "is_lean_transparency", "looks_within"]
 
 LEAN_MATH = {
     codes.MATH_ADD, codes.MATH_SUBTRACT, codes.MATH_MULTIPLY, codes.MATH_DIVIDE, codes.MATH_MULTIPLY_ADD,
@@ -43,6 +46,13 @@ SURFACE_OPERATIONS = LEAN_OPERATIONS | {
 }
 """The same in surface programs"""
 
+STRAND_OPERATIONS = {op: known for op, known in LEAN_OPERATIONS.items() if op != codes.OP_TRANSPARENT} | {
+    codes.OP_VECTOR: (LEAN_VECTOR | {codes.VECTOR_NORMALIZE}).__contains__,
+    codes.OP_SPACE: lambda sub: True,
+    codes.OP_CLOSURE: lambda sub: sub & 255 == CLOSURE_HAIR,
+}
+"""The same in programs of hair"""
+
 ZERO_ARGUMENTS = (
     codes.ARG_DIFFUSE_ROUGHNESS, codes.ARG_TRANSMISSION, codes.ARG_COAT, codes.ARG_SHEEN, codes.ARG_THIN_WALL,
 )
@@ -66,6 +76,8 @@ class LeanPrograms:
     """Whether any has one for hair that scatters light (MaterialData.hair)"""
     strands: bool = False
     """Whether that is all that any of these does (is_hair_alone)"""
+    lean_strands: bool = True
+    """Whether kernels/node_strands.py can run all programs for hair"""
 
 
 def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = False) -> bool:
@@ -84,9 +96,23 @@ def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = Fals
     return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0], glass)
 
 
+def is_lean_strand(program: Program) -> bool:
+    """Return whether the lean machine of hair (kernels/node_strands.py) can run a program for hair."""
+    code = program.surface
+    closures = [at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE]
+    return len(closures) == 1 and closures[0] + code[closures[0]][2] + 1 == len(code) and _known(
+        code, STRAND_OPERATIONS)
+
+
 def has_film(program: Program) -> bool:
     """Return whether a surface program has a closure with a thin film."""
     return any(word[0] & 255 == codes.OP_CLOSURE and word[0] >> 16 & codes.CLOSURE_FILM for word in program.surface)
+
+
+def looks_within(program: Program) -> bool:
+    """Return whether an exact program sends rays within the object."""
+    traced = [head >> 16 for head, *_ in program.surface if head & 255 == codes.OP_TRACE]
+    return any(sub & (codes.TRACE_BEVEL | codes.TRACE_LOCAL) for sub in traced)
 
 
 def is_lean_transparency(program: Program) -> bool:

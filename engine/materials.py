@@ -18,6 +18,7 @@ from ..kernels.types import (
     MATERIAL_HAIR,
     MATERIAL_LEAN,
     MATERIAL_LEAN_FLAT,
+    MATERIAL_LEAN_STRANDS,
     MATERIAL_LEAN_TRANSPARENCY,
     MATERIAL_LOOKS,
     MATERIAL_PLAIN,
@@ -29,7 +30,7 @@ from ..kernels.types import (
 )
 from .clear_glass import clear_glass
 from .closure_arguments import is_hair_alone
-from .lean import LeanPrograms, has_film, is_lean, is_lean_transparency
+from .lean import LeanPrograms, has_film, is_lean, is_lean_strand, is_lean_transparency, looks_within
 from .object_properties import PROPERTY_PREFIX
 from .program import TANGENT_PREFIX, Program, ProgramBuilder
 from .program_layout import OPERANDS, Instruction
@@ -207,7 +208,8 @@ class MaterialTable:
               for bit in (MATERIAL_LEAN, MATERIAL_LEAN_FLAT, MATERIAL_LEAN_TRANSPARENCY, MATERIAL_PLAIN)),
             films=any(has_film(program) for program in programs),
             **{name: any(each & bit for each in flags) for name, bit in (
-                ("exact", MATERIAL_EXACT), ("hair", MATERIAL_HAIR), ("strands", MATERIAL_STRANDS))})
+                ("exact", MATERIAL_EXACT), ("hair", MATERIAL_HAIR), ("strands", MATERIAL_STRANDS))},
+            lean_strands=all(each & MATERIAL_LEAN_STRANDS for each in flags if each & MATERIAL_HAIR))
 
     def _upload(self, table: _Table, records: np.ndarray, world_start: int) -> None:
         """Copy everything to the device."""
@@ -269,17 +271,12 @@ def material_flags(data: MaterialData) -> int:
         flags |= MATERIAL_EXACT | (MATERIAL_LOOKS if looks_within(data.exact) else 0)
     if data.hair is not None:
         flags |= MATERIAL_HAIR | (MATERIAL_STRANDS if is_hair_alone(data.hair) else 0)
+        flags |= MATERIAL_LEAN_STRANDS if is_lean_strand(data.hair) else 0
     if data.exact is None and data.hair is None:
         flags |= MATERIAL_LEAN if is_lean(data.program.surface, data.program) else 0
         flags |= MATERIAL_PLAIN if is_lean(data.program.surface, data.program, glass=True) else 0
     flags |= MATERIAL_LEAN_FLAT if is_lean(data.program.flat or data.program.surface, data.program) else 0
     return flags | (MATERIAL_LEAN_TRANSPARENCY if is_lean_transparency(data.program) else 0)
-
-
-def looks_within(program: Program) -> bool:
-    """Return whether an exact program sends rays within the object."""
-    traced = [head >> 16 for head, *_ in program.surface if head & 255 == codes.OP_TRACE]
-    return any(sub & (codes.TRACE_BEVEL | codes.TRACE_LOCAL) for sub in traced)
 
 
 def single_program(

@@ -314,8 +314,8 @@ class Pipeline:
         reflectors = scene.material_table.reflectors
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
-            reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters, below,
-            self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy,
+            lean.lean_strands, reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
+            below, self.cache.deterministic, self.cache.is_settled(phase), reflectors.glossy,
             scene.media and scene.media.frames, fog)
         note_absent(graph, scene, what)
         branches: tuple[str, ...] = ()

@@ -147,7 +147,7 @@ class Structures:
             wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
         self.opaque.build(points, opaque_index, opaque_face)
         # A layer is met once, by which its search goes on.
-        self.filtered.build(points, filtered_index, filtered_face, splitting=False)
+        self.filtered.build(points, filtered_index, filtered_face, opaque=False)
 
     def _under_levels(self, plan: InstancePlan) -> np.ndarray:
         """Return, ascending, the instances that are not flattened."""

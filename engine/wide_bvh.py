@@ -10,15 +10,16 @@ import warp as wp
 
 from ..kernels import cluster_tree, triangle_split
 from ..kernels import wide_bvh_build as kernels
-from ..kernels.wide_bvh import NODE_WORDS, TRIANGLE_WORDS
-from ..kernels.wide_bvh_edit import mark_gone, refit_nodes
+from ..kernels.wide_bvh import NODE_WORDS
+from ..kernels.wide_bvh_edit import SPLIT_PARTS, TUBE_PARTS, mark_gone, refit_nodes
 from ..kernels.wide_query import MAX_DEPTH
 from .binary_tree import BinaryTree
+from .bvh_references import References, bound_tubes, one_to_each, whole_triangles, with_tubes, write_references
 from .device import launch, launch_bands
 from .errors import InvalidScene
 from .frame_graph import FrameGraph
 from .tree_reinsertion import mend_upper_levels
-from .work_list import make_queue
+from .tube_items import find_tubes
 
 __all__ = ["WideBvh", "build_forest", "build_over", "build_wide"]
 
@@ -55,18 +56,23 @@ class WideBvh:
     nodes: wp.array
     """uint32 [20 * nodes], level by level"""
     triangles: wp.array
-    """uint32 [12 * N], by reference, then the opacity maps (opacity_maps.py)"""
+    """uint32 [12 * N], by reference, then the tubes' vertices or the opacity maps (opacity_maps.py)"""
     levels: list[tuple[int, int]]
     """First node and count of each"""
     references: int
     """N"""
     wholes: wp.array
-    """int: a reference to each triangle, ascending, where some triangles have more than one; else empty"""
+    """int: for each triangle 16 times a reference to it, plus its number in a tube, ascending; empty where each
+    triangle has one reference"""
+    split: bool = False
+    """Whether some triangles have more than one reference"""
+    tubes: bool = False
+    """Whether some references are tubes (tube_items.py)"""
 
     @property
-    def split(self) -> bool:
-        """Return whether some triangles have more than one reference."""
-        return len(self.wholes) > 0
+    def parts(self) -> int:
+        """Return what references may stand for, as wide_bvh_edit.py has it."""
+        return int(self.split) * int(SPLIT_PARTS) + int(self.tubes) * int(TUBE_PARTS)
 
     @property
     def triangle_count(self) -> int:
@@ -104,35 +110,18 @@ class WideBvh:
 
     def _refits(self) -> list[tuple[int, list]]:
         """Return threads and inputs of each launch of refit_nodes, children first."""
-        return [(count, [first, self.triangles, int(self.split)]) for first, count in reversed(self.levels)]
+        return [(count, [first, self.triangles, self.parts]) for first, count in reversed(self.levels)]
 
 
-@dataclass
-class _References:
-    """Parts of triangles: N items of a tree."""
-
-    faces: wp.array
-    """int [N], the triangle"""
-    steps: wp.array
-    """vec2ui [N], see triangle_split.part_box"""
-    lower: wp.array
-    upper: wp.array
-
-    @property
-    def area(self) -> float:
-        """Return half the area of all boxes; those that are not finite have none."""
-        areas = wp.empty(len(self.lower), dtype=wp.float64, device=self.lower.device)
-        launch(cluster_tree.measure_areas, len(areas), [self.lower, self.upper], [areas], areas.device.alias)
-        return float(wp.utils.array_sum(areas))
-
-
-def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -> WideBvh:
+def build_wide(points: wp.array, indices: wp.array, *, opaque: bool = True, deforming: bool = False) -> WideBvh:
     """Build the structure over triangles.
 
     Args:
         points: vec3 [V]; triangles that are not finite are never hit.
         indices: int [3 * N], N > 0.
-        splitting: Whether large slanted triangles may get several references, where that pays.
+        opaque: Whether rays ask for hits, not for layers: then large slanted triangles may get several references,
+            where that pays, and tubes are one.
+        deforming: Whether the vertices will move: no triangle has several references then.
 
     Raises:
         InvalidScene: There are too many triangles.
@@ -142,14 +131,17 @@ def build_wide(points: wp.array, indices: wp.array, *, splitting: bool = True) -
         raise InvalidScene(
             f"The scene has {count:,} triangles outside of instances, or in one mesh, more than the {MAX_TRIANGLES:,} "
             "that Burnish can keep; let objects share their meshes, or hide some")
-    whole = _whole(points, indices)
-    parts = (_split(points, indices, whole) if splitting else None) or whole
+    tubes = find_tubes(points, indices) if opaque else None
+    whole = one_to_each(points, indices, None if tubes is None else tubes.others)
+    split = _split(points, indices, whole) if opaque and not deforming and len(whole.faces) else None
+    parts = split or whole
+    if tubes is not None:
+        parts = with_tubes(points, indices, parts, tubes)
     nodes, items, levels = build_over(parts.lower, parts.upper)
-    triangles = _write_triangles(points, indices, items, parts)
-    wholes = np.zeros(0, np.int32)
-    if parts is not whole:
-        wholes = np.sort(np.unique(parts.faces.numpy()[items.numpy()], return_index=True)[1]).astype(np.int32)
-    return WideBvh(nodes, triangles, levels, len(items), wp.array(wholes, dtype=int, device=device))
+    triangles = write_references(points, indices, items, parts)
+    wholes = whole_triangles(items.numpy(), parts) if split or tubes else np.zeros(0, np.int32)
+    return WideBvh(nodes, triangles, levels, len(items), wp.array(wholes, dtype=int, device=device),
+                   split is not None, tubes is not None)
 
 
 def build_over(lower: wp.array, upper: wp.array) -> tuple[wp.array, wp.array, list[tuple[int, int]]]:
@@ -174,47 +166,46 @@ def build_over(lower: wp.array, upper: wp.array) -> tuple[wp.array, wp.array, li
     return made
 
 
-def build_forest(points: wp.array, indices: wp.array, counts: np.ndarray) -> WideBvh | None:
+def build_forest(
+    points: wp.array, indices: wp.array, counts: np.ndarray, *, opaque: bool = True,
+) -> WideBvh | None:
     """Build a tree for each of M meshes, together, as the launches for a small one take longer than its work.
 
     Args:
         points: vec3 [V].
         indices: int [3 * N], the meshes one after another.
         counts: int [M], triangles of each, above 0.
+        opaque: As for build_wide.
 
     Returns:
         All trees, the first M nodes their roots; None where one is too deep, which build_wide can help.
     """
-    whole = _whole(points, indices)
-    tree = _cluster(whole.lower, whole.upper, RADIUS, PATIENCE, counts)
-    nodes, items, levels = _collapse(tree, len(whole.faces))
+    tubes = find_tubes(points, indices) if opaque else None
+    if tubes is None:
+        parts = one_to_each(points, indices, None)
+    else:
+        # In the meshes' order, each of which is a tree.
+        chosen = np.sort(np.concatenate([tubes.others, tubes.heads]))
+        parts = one_to_each(points, indices, chosen)
+        parts.sizes = np.ones(len(chosen), np.int32)
+        bound_tubes(points, indices, parts, tubes, np.searchsorted(chosen, tubes.heads).astype(np.int32))
+        ends = np.searchsorted(chosen, np.cumsum(counts))
+        counts = np.diff(ends, prepend=0)
+    tree = _cluster(parts.lower, parts.upper, RADIUS, PATIENCE, counts)
+    nodes, items, levels = _collapse(tree, len(parts.faces))
     if len(levels) > MAX_DEPTH:
         return None
-    triangles = _write_triangles(points, indices, items, whole)
-    return WideBvh(nodes, triangles, levels, len(items), wp.zeros(0, dtype=int, device=points.device))
+    triangles = write_references(points, indices, items, parts)
+    return WideBvh(nodes, triangles, levels, len(items), wp.zeros(0, dtype=int, device=points.device),
+                   tubes=tubes is not None)
 
 
-def _write_triangles(points: wp.array, indices: wp.array, items: wp.array, parts: _References) -> wp.array:
-    """Return the triangles' words, by `items`, the references in the leaves' order."""
-    words = wp.empty(TRIANGLE_WORDS * len(items), dtype=wp.uint32, device=points.device)
-    launch(kernels.write_triangles, len(items), [points, indices, items, parts.faces, parts.steps], [words],
-           points.device.alias)
-    return words
-
-
-def _whole(points: wp.array, indices: wp.array) -> _References:
-    """Return one reference to each triangle."""
-    device, count = points.device.alias, len(indices) // 3
-    lower, upper = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
-    launch(kernels.triangle_bounds, count, [points, indices], [lower, upper], device)
-    return _References(make_queue(count, device), wp.zeros(count, dtype=wp.vec2ui, device=device), lower, upper)
-
-
-def _split(points: wp.array, indices: wp.array, whole: _References) -> _References | None:
+def _split(points: wp.array, indices: wp.array, whole: References) -> References | None:
     """Return references to triangles, one to most of them, more to large slanted ones; None where that doesn't pay."""
-    device, count, area = points.device.alias, len(indices) // 3, whole.area
+    device, count, area = points.device.alias, len(whole.faces), whole.area
     priority = wp.empty(count, dtype=float, device=device)
-    launch(triangle_split.find_priorities, count, [points, indices, whole.lower, whole.upper], [priority], device)
+    triangles = [points, indices, whole.faces, whole.lower, whole.upper]
+    launch(triangle_split.find_priorities, count, triangles, [priority], device)
     # At least the area that splitting without end would take away.
     if not np.square(priority.numpy(), dtype=np.float64).sum() > (1.0 - SPLIT_AREA) * area:
         return None
@@ -233,11 +224,11 @@ def _split(points: wp.array, indices: wp.array, whole: _References) -> _Referenc
         middle = 0.5 * (low + high)
         low, high = (middle, high) if total_with(2.0**middle / size) <= room else (low, middle)
     total = total_with(2.0**low / size if low > 0.0 else 0.0)
-    made = _References(
+    made = References(
         wp.empty(total, dtype=int, device=device), wp.empty(total, dtype=wp.vec2ui, device=device),
         *(wp.empty(total, dtype=wp.vec3, device=device) for _ in range(2)))
-    launch(triangle_split.split_triangles, count, [points, indices, whole.lower, whole.upper, ends],
-           [wp.empty(total, dtype=int, device=device), made.faces, made.steps, made.lower, made.upper], device)
+    launch(triangle_split.split_triangles, count, [*triangles, ends],
+           [wp.empty(total, dtype=int, device=device), *made.arrays], device)
     return made if made.area <= SPLIT_AREA * area else None
 
 

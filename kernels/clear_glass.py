@@ -26,8 +26,8 @@ from .intersect import MISS, Hit, closest_hit, triangle_material
 from .paths import Paths, store_hit
 from .sampling import hash_combine, hashed_unit
 from .types import Geometry, Scene
-from .wide_bvh import any_face_wide
-from .wide_instances import any_face_in_instances
+from .wide_bvh import any_face_wide, any_face_with_tubes
+from .wide_instances import any_face_in_instances, any_face_in_instances_with_tubes
 from .wide_loads import load_corner, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -228,7 +228,11 @@ def flat_blocker(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, distan
     """Return (instance, triangle) of any flattened opaque triangle before a distance; -1 where there is none."""
     face = int(-1)
     if geometry.flat.nodes.shape[0] > 0:
-        face = any_face_wide(geometry.flat.nodes, geometry.flat.triangles, origin, direction, distance)
+        flat = geometry.flat
+        if flat.tubes == 1:
+            face = any_face_with_tubes(flat.nodes, flat.triangles, origin, direction, distance)
+        else:
+            face = any_face_wide(flat.nodes, flat.triangles, origin, direction, distance)
     if face < 0:
         return wp.vec2i(-1, -1)
     return geometry.flat.faces[face]
@@ -239,8 +243,12 @@ def any_blocker(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, distanc
     """Do as flat_blocker in scenes where not all is flattened."""
     found = flat_blocker(geometry, origin, direction, distance)
     if found[0] < 0:
-        other = any_face_in_instances(
-            geometry.instanced.nodes, geometry.instanced.records, origin, direction, distance)
+        level = geometry.instanced
+        other = wp.vec2i(-1, -1)
+        if level.tubes == 1:
+            other = any_face_in_instances_with_tubes(level.nodes, level.records, origin, direction, distance)
+        else:
+            other = any_face_in_instances(level.nodes, level.records, origin, direction, distance)
         if other[0] >= 0:
             found = wp.vec2i(other[1], geometry.mesh_faces[other[0]])
     return found

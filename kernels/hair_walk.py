@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernels that follow light through hair from the pixels that show it, in real-time frames.
+"""How light is followed through hair from the pixels that show it, in real-time frames.
 
 A ray for each block of pixels: in the strand that the pixel shows, and in those that it meets from there, it draws a
 direction from their lobes (hair_lobes.py) and looks for lights. Of the lights in all strands chance keeps one, by what
 it would bring, for a shadow ray. What leaves the hair goes on as other rays do, and after some strands hair is lit like
-any surface.
+any surface. Kernels are in hair_full.py and hair_lean.py, by the programs of hair that there are.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from .geometry_math import is_finite3, max_component
 from .hair_exit import leaving_point
 from .hair_lobes import HairLobes, evaluate_hair, hair_lobes, sample_hair
 from .hair_place import scatters_as_hair
-from .intersect import closest_hit, offset_origin, surface_point, triangle_material
+from .intersect import offset_origin, surface_point, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
 from .light_candidate import LightClasses, candidate_index, choose, light_classes, replay
 from .light_linking import kinds_lit, note_blockers, note_receiver
-from .list_order import first_dealt
-from .nodes import run
-from .paths import ENDED, PENDING_NONE, PENDING_TRIANGLE, Paths, load_hit, store_hit
+from .paths import ENDED, PENDING_NONE, PENDING_TRIANGLE, Paths, load_hit
 from .reflection_rays import ReflectionRays, find_start, gather, send_ray, start_ray
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples
 from .sampling import STEP_REFILL, STEP_X, STEP_Y, fraction, hash_combine, sample_number, sample_pair
@@ -38,6 +36,7 @@ from .types import (
     VISIBLE_DIFFUSE,
     VISIBLE_GLOSSY,
     VISIBLE_TRANSMISSION,
+    Closure,
     Scene,
     ShadingPoint,
 )
@@ -149,12 +148,6 @@ def light_strand(
     return out
 
 
-@wp.func
-def hair_program(scene: Scene, material: int) -> int:
-    """Return the first instruction of the program of closures that scatter light as hair."""
-    return scene.materials.code[scene.materials.materials[material].surface_start - 1][2]
-
-
 @wp.struct
 class HairWalks:
     """What rays through hair know besides their paths: one entry a ray."""
@@ -178,15 +171,13 @@ def load_kept(walks: HairWalks, slot: int) -> KeptLight:
 
 @wp.func
 def scatter(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], point: ShadingPoint, strand: int,
-    strands: int, walks: HairWalks, paths: Paths, lit: Paths, slot: int,
+    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], point: ShadingPoint, closure: Closure,
+    strand: int, strands: int, walks: HairWalks, paths: Paths, lit: Paths, slot: int,
 ):
     """Scatter a ray in the strand at a point, which is the `strand`-th, from 0 on; it ends, or goes on to the next."""
     paths.state[slot] = ENDED
     seed = paths.seed[slot]
     index = paths.index[slot]
-    choice = sample_number(seed, index, DIMENSION_FIRST + DIMENSION_CLOSURE)
-    closure = run(scene, point, hair_program(scene, point.material), choice)
     if closure.kind != CLOSURE_HAIR:
         # There is none where all weights are 0.
         return
@@ -217,115 +208,49 @@ def scatter(
             paths.state[slot] = ENDED
 
 
-@wp.kernel
-def enter_hair(
-    # In:
-    first: int,
-    views: wp.array[View],
-    scene: Scene,
-    split: EnvironmentSplit,
-    emitters: wp.array[wp.uint64],
-    options: ReflectionOptions,
-    gbuffer: GBuffer,
-    strands: int,
-    # Out:
-    samples_out: ReflectionSamples,
-    rays_out: ReflectionRays,
-    paths_out: Paths,
-    vertices_out: Vertices,
-    lit_out: Paths,
-    walks_out: HairWalks,
-):
-    """Scatter each ray in the strand that its pixel shows."""
-    slot = first + wp.tid()
-    lit_out.shadow_distance[slot] = 0.0
-    lit_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    walks_out.leaves[slot] = wp.uint8(0)
+@wp.func
+def begin_in_hair(
+    views: wp.array[View], scene: Scene, options: ReflectionOptions, gbuffer: GBuffer, samples: ReflectionSamples,
+    rays: ReflectionRays, paths: Paths, vertices: Vertices, lit: Paths, walks: HairWalks, slot: int,
+) -> ShadingPoint:
+    """Start a ray and return the point of hair that its pixel shows; of instance -1 where there is no ray."""
+    point = ShadingPoint()
+    point.instance = int(-1)
+    lit.shadow_distance[slot] = 0.0
+    lit.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    walks.leaves[slot] = wp.uint8(0)
     view = views[0]
-    start = find_start(view, options, samples_out, rays_out, paths_out, vertices_out, slot)
+    start = find_start(view, options, samples, rays, paths, vertices, slot)
     if start.block < 0:
-        return
+        return point
     point = stored_point(view, scene, gbuffer, options.width, start.pixel)
     start.seed = hash_combine(start.seed, HAIR_SEED)
     start_ray(
-        samples_out, rays_out, paths_out, vertices_out, slot, start, -point.wo, wp.vec3(1.0, 1.0, 1.0), 1.0,
+        samples, rays, paths, vertices, slot, start, -point.wo, wp.vec3(1.0, 1.0, 1.0), 1.0,
         wp.vec2(point.footprint, view.camera.spread * FOOTPRINT_SCALE))
-    walks_out.kept[slot] = wp.vec3(
-        0.0, 0.0, sample_number(start.seed, start.index, DIMENSION_FIRST + DIMENSION_KEPT))
-    lit_out.seed[slot] = start.seed
-    lit_out.index[slot] = start.index
-    scatter(scene, split, emitters, point, 0, strands, walks_out, paths_out, lit_out, slot)
+    walks.kept[slot] = wp.vec3(0.0, 0.0, sample_number(start.seed, start.index, DIMENSION_FIRST + DIMENSION_KEPT))
+    lit.seed[slot] = start.seed
+    lit.index[slot] = start.index
+    return point
 
 
 @wp.func
-def meet_strand(
-    scene: Scene, split: EnvironmentSplit, emitters: wp.array[wp.uint64], strands: int, paths: Paths, lit: Paths,
-    walks: HairWalks, slot: int,
-):
-    """Scatter a ray in the strand that it has met; one that has met something else, or nothing, ends."""
-    strand = paths.state[slot]
+def met_strand(scene: Scene, paths: Paths, slot: int) -> ShadingPoint:
+    """Return the point of hair that a ray has met; one that has met something else, or nothing, ends: instance -1."""
+    point = ShadingPoint()
+    point.instance = int(-1)
     hit = paths.hit[slot]
     if scatters_as_hair(scene, hit[0], hit[1]):
         point = surface_point(scene, load_hit(paths, slot), paths.direction[slot])
         point.ray_visibility = paths.kind[slot]
         point.ray_length = paths.t[slot]
-        point.ray_depth = strand
-        scatter(scene, split, emitters, point, strand, strands, walks, paths, lit, slot)
+        point.ray_depth = paths.state[slot]
     else:
         paths.state[slot] = ENDED
+    return point
 
 
-@wp.kernel
-def scatter_in_hair(
-    # In:
-    scene: Scene,
-    split: EnvironmentSplit,
-    emitters: wp.array[wp.uint64],
-    strands: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-    lit_out: Paths,
-    walks_out: HairWalks,
-):
-    """Scatter listed rays in the strands that they have met."""
-    i = wp.tid()
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        if paths_out.state[slot] != ENDED:
-            meet_strand(scene, split, emitters, strands, paths_out, lit_out, walks_out, slot)
-
-
-@wp.kernel(cuda_max_registers=128)
-def follow_hair(
-    # In:
-    scene: Scene,
-    split: EnvironmentSplit,
-    emitters: wp.array[wp.uint64],
-    strands: int,
-    stride: int,
-    count: wp.array[int],
-    queue: wp.array[int],
-    # Out:
-    paths_out: Paths,
-    lit_out: Paths,
-    walks_out: HairWalks,
-):
-    """Follow listed rays to their ends: few are left, and none waits for the longest one at each strand."""
-    i = first_dealt(wp.tid(), stride)
-    while i < count[0]:
-        slot = queue[i]
-        i = i + stride
-        while paths_out.state[slot] != ENDED:
-            store_hit(paths_out, slot, closest_hit(
-                scene.geometry, paths_out.origin[slot], paths_out.direction[slot], FAR))
-            meet_strand(scene, split, emitters, strands, paths_out, lit_out, walks_out, slot)
-
-
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def leave_hair(
     # In:
     first: int,

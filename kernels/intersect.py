@@ -15,11 +15,13 @@ import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, normalize_or, transform_normal, transform_point
 from .types import MATERIAL_EMISSION, FlatTriangles, Geometry, InstanceLevel, Scene, ShadingPoint
-from .wide_bvh import any_wide, closest_wide
+from .wide_bvh import any_wide, any_with_tubes, closest_wide, closest_with_tubes
 from .wide_instances import (
     InstanceHit,
     any_in_instances,
+    any_in_instances_with_tubes,
     closest_in_instances,
+    closest_in_instances_with_tubes,
     closest_layer_in_instances,
     shadow_layer_in_instances,
 )
@@ -75,7 +77,11 @@ def closest_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, hit
     """Shorten `hit` by the flattened triangles of one structure."""
     result = hit
     if flat.nodes.shape[0] > 0:
-        found = closest_wide(flat.nodes, flat.triangles, origin, direction, hit.t)
+        found = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        if flat.tubes == 1:
+            found = closest_with_tubes(flat.nodes, flat.triangles, origin, direction, hit.t)
+        else:
+            found = closest_wide(flat.nodes, flat.triangles, origin, direction, hit.t)
         number = wp.cast(found[3], int)
         if number >= 0:
             face = flat.faces[number]
@@ -120,6 +126,8 @@ def any_static(flat: FlatTriangles, origin: wp.vec3, direction: wp.vec3, t_max: 
     """Return whether a flattened triangle of one structure lies before t_max."""
     if flat.nodes.shape[0] == 0:
         return False
+    if flat.tubes == 1:
+        return any_with_tubes(flat.nodes, flat.triangles, origin, direction, t_max)
     return any_wide(flat.nodes, flat.triangles, origin, direction, t_max)
 
 
@@ -129,7 +137,11 @@ def closest_instanced(
 ) -> Hit:
     """Shorten `hit` by instances that are not flattened."""
     result = hit
-    found = closest_in_instances(level.nodes, level.records, origin, direction, hit.t)
+    found = InstanceHit()
+    if level.tubes == 1:
+        found = closest_in_instances_with_tubes(level.nodes, level.records, origin, direction, hit.t)
+    else:
+        found = closest_in_instances(level.nodes, level.records, origin, direction, hit.t)
     face = wp.cast(found[3], int)
     if face >= 0:
         result = hit_at(wp.cast(found[4], int), mesh_faces[face], found[0], found[1], found[2])
@@ -189,7 +201,10 @@ def any_hit(geometry: Geometry, origin: wp.vec3, direction: wp.vec3, t_max: floa
     """Return whether an opaque triangle lies before t_max."""
     if any_static(geometry.flat, origin, direction, t_max):
         return True
-    return any_in_instances(geometry.instanced.nodes, geometry.instanced.records, origin, direction, t_max)
+    level = geometry.instanced
+    if level.tubes == 1:
+        return any_in_instances_with_tubes(level.nodes, level.records, origin, direction, t_max)
+    return any_in_instances(level.nodes, level.records, origin, direction, t_max)
 
 
 @wp.func

@@ -10,18 +10,11 @@ import warp as wp
 
 from .materials_exact import exact_closure
 from .node_rays import program_start
+from .node_strands import run_strand, strand_start
 from .paths import Paths, has_hit, hit_point
-from .types import MATERIAL_HAIR, Scene
+from .types import MATERIAL_HAIR, MATERIAL_LEAN_STRANDS, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
-
-
-@wp.func
-def traced_start(scene: Scene, material: int) -> int:
-    """Return the first instruction of what the path tracer runs."""
-    if (scene.materials.materials[material].flags & MATERIAL_HAIR) != 0:
-        return scene.materials.code[scene.materials.materials[material].surface_start - 1][2]
-    return program_start(scene, material)
 
 
 @wp.kernel
@@ -41,5 +34,13 @@ def evaluate_hair_materials(
         i = i + stride
         if has_hit(paths_out, path):
             point = hit_point(scene, paths_out, path, paths_out.state[path])
-            start = traced_start(scene, point.material)
-            paths_out.closure[path] = exact_closure(scene, point, start, paths_out, path)
+            flags = scene.materials.materials[point.material].flags
+            if (flags & MATERIAL_LEAN_STRANDS) != 0:
+                paths_out.closure[path] = run_strand(scene, point, strand_start(scene, point.material))
+            else:
+                start = int(0)
+                if (flags & MATERIAL_HAIR) != 0:
+                    start = strand_start(scene, point.material)
+                else:
+                    start = program_start(scene, point.material)
+                paths_out.closure[path] = exact_closure(scene, point, start, paths_out, path)

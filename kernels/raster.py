@@ -246,12 +246,14 @@ def raster_triangles(
     lists_out: RasterLists,
     seen_out: Visibility,
 ):
-    """Draw small triangles and deal out others. One reference a thread; of split triangles those in `wholes`."""
+    """Draw small triangles and deal out others. One reference, or a triangle in `wholes`, a thread."""
     reference = wp.tid()
+    number = int(-1)
     if wholes.shape[0] > 0:
-        reference = wholes[reference]
+        number = wholes[reference] % 16
+        reference = wholes[reference] // 16
     view = load_view(views)
-    outline = load_outline(view, triangles, reference)
+    outline = load_outline(view, triangles, reference, number)
     if outline.face == GONE:
         return
     bounds = pixel_bounds(view, outline, width, height)

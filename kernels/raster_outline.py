@@ -11,9 +11,11 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import UNIT_ROUNDOFF, transform_direction
+from .tube_items import tube_corners
 from .types import FrameData
 from .view import View, eye_position
-from .wide_bvh import TRIANGLE_WORDS
+from .wide_bvh import TRIANGLE_WORDS, TUBE, TUBE_HALF
+from .wide_bvh_edit import GONE
 
 # A vertex in camera space errs by so many roundoffs of its distance.
 SLACK_ROUNDOFFS = wp.constant(16.0)
@@ -85,15 +87,24 @@ def seen_from(frame: FrameData, point: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def load_outline(view: View, triangles: wp.array[wp.uint32], reference: int) -> Outline:
-    """Return the triangle of a reference of the wide BVH."""
+def load_outline(view: View, triangles: wp.array[wp.uint32], reference: int, number: int) -> Outline:
+    """Return the triangle of a reference of the wide BVH; of a tube that with a number, -1 where there are none."""
     rows = TRIANGLE_WORDS // 4
-    first = load_words(triangles, rows * reference)
+    p = load_words(triangles, rows * reference)
+    q = load_words(triangles, rows * reference + 1)
+    r = load_words(triangles, rows * reference + 2)
     outline = Outline()
-    outline.face = first[3]
-    outline.p = seen_from(view.camera, vertex_of(first))
-    outline.q = seen_from(view.camera, vertex_of(load_words(triangles, rows * reference + 1)))
-    outline.r = seen_from(view.camera, vertex_of(load_words(triangles, rows * reference + 2)))
+    outline.face = p[3]
+    if number >= 0 and (q[3] & TUBE) != wp.uint32(0):
+        if p[3] != GONE:
+            outline.face = p[3] + wp.uint32(number)
+        corners = tube_corners(int(r[3]), number, (q[3] & TUBE_HALF) != wp.uint32(0))
+        p = load_words(triangles, corners[0])
+        q = load_words(triangles, corners[1])
+        r = load_words(triangles, corners[2])
+    outline.p = seen_from(view.camera, vertex_of(p))
+    outline.q = seen_from(view.camera, vertex_of(q))
+    outline.r = seen_from(view.camera, vertex_of(r))
     outline.slack = SLACK_ROUNDOFFS * UNIT_ROUNDOFF * wp.max(
         wp.length(outline.p), wp.max(wp.length(outline.q), wp.length(outline.r)))
     return outline

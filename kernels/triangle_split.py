@@ -139,6 +139,7 @@ def find_priorities(
     # In:
     points: wp.array[wp.vec3],
     indices: wp.array[int],
+    faces: wp.array[int],
     lower: wp.array[wp.vec3],
     upper: wp.array[wp.vec3],
     # Out:
@@ -149,8 +150,9 @@ def find_priorities(
     With n splits about 1 / (n + 1) of a box's needless area is left: the sum is least if n grows as the root of it.
     """
     i = wp.tid()
-    p = points[indices[3 * i]]
-    cross = wp.cross(points[indices[3 * i + 1]] - p, points[indices[3 * i + 2]] - p)
+    first = 3 * faces[i]
+    p = points[indices[first]]
+    cross = wp.cross(points[indices[first + 1]] - p, points[indices[first + 2]] - p)
     area = half_area(upper[i] - lower[i])
     # Boxes of tiny parts have the area of the triangle's three projections.
     needless = area - 0.5 * (wp.abs(cross[0]) + wp.abs(cross[1]) + wp.abs(cross[2]))
@@ -191,6 +193,7 @@ def split_triangles(
     # In:
     points: wp.array[wp.vec3],
     indices: wp.array[int],
+    faces: wp.array[int],
     whole_lower: wp.array[wp.vec3],
     whole_upper: wp.array[wp.vec3],
     ends: wp.array[int],
@@ -209,9 +212,10 @@ def split_triangles(
     k = int(0)
     if i > 0:
         k = ends[i - 1]
-    p = points[indices[3 * i]]
-    q = points[indices[3 * i + 1]]
-    r = points[indices[3 * i + 2]]
+    first = 3 * faces[i]
+    p = points[indices[first]]
+    q = points[indices[first + 1]]
+    r = points[indices[first + 2]]
     lower_out[k] = whole_lower[i]
     upper_out[k] = whole_upper[i]
     splits_out[k] = ends[i] - k - 1
@@ -248,5 +252,5 @@ def split_triangles(
             lower_out[k] = part.low
             upper_out[k] = part.high
             steps_out[k] = steps
-            face_out[k] = i
+            face_out[k] = faces[i]
             k = k + 1

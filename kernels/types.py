@@ -84,6 +84,8 @@ MATERIAL_HAIR = wp.constant(2048)
 """Has a program of its own, for the path tracer, of closures of hair (hair_lobes.py): the same end says where"""
 MATERIAL_STRANDS = wp.constant(4096)
 """Its closures are hair's alone: real-time frames scatter light in it, too"""
+MATERIAL_LEAN_STRANDS = wp.constant(8192)
+"""The lean machine of hair (node_strands.py) runs that program"""
 MATERIAL_FLAT_SHIFT = wp.constant(16)
 """The bits from here on hold how many instructions after the surface program the flat one starts; 0: they are one"""
 
@@ -131,6 +133,8 @@ class FlatTriangles:
     """(instance, triangle) per face; triangle indexes Geometry.triangles"""
     decided: int
     """1: rays decide by themselves which of them stop them (opacity_answers.py)"""
+    tubes: int
+    """1: some references are tubes (tube_items.py)"""
 
 
 @wp.struct
@@ -141,7 +145,8 @@ class InstanceLevel:
     """Address, 0 where there are none"""
     records: wp.uint64
     decided: int
-    """As FlatTriangles.decided"""
+    tubes: int
+    """As FlatTriangles has them"""
 
 
 @wp.struct
@@ -207,9 +212,7 @@ class Materials:
     """Instructions, see nodes.py"""
     constants: wp.array[wp.vec4]
     ramps: wp.array[wp.vec4]
-    """Tables of ramps and curves"""
     world_start: int
-    """First instruction of the world's program"""
 
 
 @wp.struct
@@ -238,13 +241,10 @@ class Textures:
 
     infos: wp.array[TextureInfo]
     bytes4: wp.array[wp.uint32]
-    """8-bit RGBA texels, red in the lowest byte"""
+    """RGBA texels of 8 bits, red in the lowest byte; the others are of 16 bits, halves and floats"""
     shorts4: wp.array[wp.vec4us]
-    """16-bit RGBA texels"""
     halves4: wp.array[wp.vec4h]
-    """Half-float RGBA texels"""
     floats4: wp.array[wp.vec4]
-    """Float RGBA texels"""
 
 
 @wp.struct

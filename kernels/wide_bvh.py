@@ -20,9 +20,22 @@ A node is 20 words, read as five times four:
 
 A triangle is 12 words: its three vertices, each with a fourth word, the first of which is the face. Several may be
 references to one face: it is tested more than once then, and hit in one place. The other two words of opaque triangles
-are for triangle_split.part_box. Of triangles for the queries for layers, which alone read them here, they tell of the
-opacity micromap (Gruen, Benthin and Woop, "Sub-triangle opacity masks for faster ray tracing of transparent objects",
-2020) that opacity_maps.py makes:
+are for triangle_split.part_box, or tell of a tube (tube_items.py), which stands in the place of a triangle:
+
+    0..2     the beginning of its axis
+    3        its first face; the others follow
+    4..6     the end of its axis
+    7        TUBE, TUBE_HALF where each of its six sides is one triangle instead of two, TUBE_LEFT where its vertices
+             go round the axis as a left-handed screw does, TUBE_CROOKED where rays may enter it more than once
+    8        radius of a cylinder around the axis that holds it, however long
+    9        radii of the rings at both ends over that one, 16 bits each
+    10       direction from the axis to the first vertices along x, y, z, 9 bits each from -255 on, then how far off
+             regular rings vertices are at most, over the radius, in steps of 1 / TUBE_STEPS
+    11       the row, of four words, behind all triangles, where its TUBE_ROWS vertices begin: a ring, then the other
+
+Of triangles for the queries for layers, which alone read them here, the two words tell of the opacity micromap (Gruen,
+Benthin and Woop, "Sub-triangle opacity masks for faster ray tracing of transparent objects", 2020) that opacity_maps.py
+makes:
 
     7      the top two bits: an OPACITY_* of the whole triangle; below them an ANSWER_* where hits need a test, and the
            level of OPACITY_MIXED
@@ -56,6 +69,15 @@ TRIANGLE_WORDS = wp.constant(12)
 # Children of a node; triangles of a leaf.
 WIDTH = wp.constant(8)
 LEAF_SIZE = wp.constant(3)
+
+# In word 7 of tubes; their sides, and rows of their vertices.
+TUBE = wp.constant(wp.uint32(0x80000000))
+TUBE_HALF = wp.constant(wp.uint32(0x40000000))
+TUBE_LEFT = wp.constant(wp.uint32(0x20000000))
+TUBE_CROOKED = wp.constant(wp.uint32(0x10000000))
+TUBE_SIDES = wp.constant(6)
+TUBE_ROWS = wp.constant(12)
+TUBE_STEPS = wp.constant(15.0)
 
 # What is known of a triangle's opacity: a test per hit decides; rays pass; it stops them; its map says.
 OPACITY_UNKNOWN = wp.constant(0)
@@ -99,6 +121,33 @@ def any_face_wide(
     nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> int:
     """Return the face of any triangle that lies closer than t_max; -1 where none does."""
+    ...
+
+
+# The same where some references are tubes: others go without the registers that these take.
+
+
+@wp.func_native(query_source(CLOSEST, RESULT, POSTPONE, WAITING, tubes=True))
+def closest_with_tubes(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec4:
+    """Return what closest_wide does."""
+    ...
+
+
+@wp.func_native(query_source("return true;", "false", tubes=True))
+def any_with_tubes(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> bool:
+    """Return what any_wide does."""
+    ...
+
+
+@wp.func_native(query_source("return KEY;", "-1", tubes=True))
+def any_face_with_tubes(
+    nodes: wp.array[wp.uint32], triangles: wp.array[wp.uint32], origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> int:
+    """Return what any_face_wide does."""
     ...
 
 

@@ -32,15 +32,17 @@ def triangle_bounds(
     # In:
     points: wp.array[wp.vec3],
     indices: wp.array[int],
+    faces: wp.array[int],
     # Out:
     lower_out: wp.array[wp.vec3],
     upper_out: wp.array[wp.vec3],
 ):
     """Find the boxes of triangles; what lies too far out for its box to have an area is taken to lie in the origin."""
     i = wp.tid()
-    p = points[indices[3 * i]]
-    q = points[indices[3 * i + 1]]
-    r = points[indices[3 * i + 2]]
+    first = 3 * faces[i]
+    p = points[indices[first]]
+    q = points[indices[first + 1]]
+    r = points[indices[first + 2]]
     low = wp.min(p, wp.min(q, r))
     high = wp.max(p, wp.max(q, r))
     reach = wp.max(wp.length(p), wp.max(wp.length(q), wp.length(r)))

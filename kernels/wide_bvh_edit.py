@@ -6,13 +6,17 @@ from __future__ import annotations
 import warp as wp
 
 from .triangle_split import Box, part_box
-from .wide_bvh import NODE_WORDS, TRIANGLE_WORDS
+from .tube_items import tube_at, tube_box, write_tube
+from .wide_bvh import NODE_WORDS, TRIANGLE_WORDS, TUBE
 from .wide_bvh_build import FAR, Grid, add_box, add_byte, grid_about, write_grid
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # In place of the face of a triangle that was taken out.
 GONE = wp.constant(wp.uint32(0xFFFFFFFF))
+# What references may stand for besides triangles: parts of them (triangle_split.py) and tubes (tube_items.py).
+SPLIT_PARTS = wp.constant(1)
+TUBE_PARTS = wp.constant(2)
 # Corners of the box of nothing.
 NOWHERE = wp.constant(3.0e38)
 
@@ -48,12 +52,21 @@ def place_triangles(
     # In:
     points: wp.array[wp.vec3],
     indices: wp.array[int],
+    parts: int,
     # Out:
     triangles_out: wp.array[wp.uint32],
 ):
-    """Put all references' vertices where they are now; `indices` as those that the triangles were written from."""
+    """Put all references' vertices where they are now.
+
+    In detail:
+        indices: As those that the triangles were written from.
+        parts: What references may stand for: TUBE_PARTS.
+    """
     word = TRIANGLE_WORDS * wp.tid()
     face = int(triangles_out[word + 3])
+    if (parts & TUBE_PARTS) != 0 and (triangles_out[word + 7] & TUBE) != wp.uint32(0):
+        write_tube(triangles_out, wp.tid(), int(triangles_out[word + 11]), points, tube_at(indices, face), face)
+        return
     reach = float(0.0)
     for k in range(3):
         reach = wp.max(reach, wp.length(points[indices[3 * face + k]]))
@@ -74,13 +87,15 @@ def corner_at(triangles: wp.array[wp.uint32], word: int) -> wp.vec3:
 
 
 @wp.func
-def reference_box(triangles: wp.array[wp.uint32], word: int, split: int) -> Box:
-    """Return the box of the part of a triangle that a reference stands for."""
+def reference_box(triangles: wp.array[wp.uint32], word: int, parts: int) -> Box:
+    """Return the box of the tube, the triangle or the part of one that a reference stands for."""
+    if (parts & TUBE_PARTS) != 0 and (triangles[word + 7] & TUBE) != wp.uint32(0):
+        return tube_box(triangles, int(triangles[word + 11]))
     p = corner_at(triangles, word)
     q = corner_at(triangles, word + 4)
     r = corner_at(triangles, word + 8)
     steps = wp.vec2ui(wp.uint32(0), wp.uint32(0))
-    if split == 1:
+    if (parts & SPLIT_PARTS) != 0:
         steps = wp.vec2ui(triangles[word + 7], triangles[word + 11])
     return part_box(wp.min(p, wp.min(q, r)), wp.max(p, wp.max(q, r)), steps)
 
@@ -88,7 +103,7 @@ def reference_box(triangles: wp.array[wp.uint32], word: int, split: int) -> Box:
 @wp.func
 def child_in(
     words: wp.array[wp.uint32], triangles: wp.array[wp.uint32], lower: wp.array[wp.vec3], upper: wp.array[wp.vec3],
-    base: int, meta: wp.uint32, node: int, split: int,
+    base: int, meta: wp.uint32, node: int, parts: int,
 ) -> Child:
     """Return a slot's child without the triangles that are gone; `node` is the child's number where it is a node."""
     child = Child()
@@ -107,7 +122,7 @@ def child_in(
         if (meta & bit) != wp.uint32(0):
             if triangles[word + 3] != GONE:
                 child.meta = child.meta | bit
-                part = reference_box(triangles, word, split)
+                part = reference_box(triangles, word, parts)
                 child.low = wp.min(child.low, part.low)
                 child.high = wp.max(child.high, part.high)
     if child.meta != wp.uint32(0):
@@ -120,7 +135,7 @@ def refit_nodes(
     # In:
     first: int,
     triangles: wp.array[wp.uint32],
-    split: int,
+    parts: int,
     # Out:
     words_out: wp.array[wp.uint32],
     lower_out: wp.array[wp.vec3],
@@ -128,8 +143,8 @@ def refit_nodes(
 ):
     """Write a level's nodes from number `first` on anew, those of the levels below done.
 
-    `split` 1: references may stand for parts of triangles (triangle_split.py). What is empty now keeps its number and,
-    where it is a node, its bit among those that are: both count for others.
+    `parts`: what references may stand for. What is empty now keeps its number and, where it is a node, its bit among
+    those that are: both count for others.
     """
     node = first + wp.tid()
     base = NODE_WORDS * node
@@ -145,7 +160,7 @@ def refit_nodes(
         slot = int(0)
         while slot < 8:
             byte = (meta[slot // 4] >> wp.uint32(8 * (slot % 4))) & wp.uint32(255)
-            child = child_in(words_out, triangles, lower_out, upper_out, base, byte, number, split)
+            child = child_in(words_out, triangles, lower_out, upper_out, base, byte, number, parts)
             if child.meta != wp.uint32(0):
                 if turn == 0:
                     low = wp.min(low, child.low)

@@ -91,11 +91,13 @@ _KEY = "first_face + (int)face_word"
 _LAYER_KEY = "2 * (first_face + (int)face_word)"
 
 
-def _source(found: str, result: str, nothing: str, *, postponing: bool = False, key: str = _KEY) -> str:
+def _source(
+    found: str, result: str, nothing: str, *, postponing: bool = False, key: str = _KEY, tubes: bool = False,
+) -> str:
     """Return the native source of a query; `nothing`: what it returns without instances."""
     postpone, waiting = (POSTPONE, WAITING) if postponing else ("", 0)
     return f"    if (nodes == 0u)\n        return {nothing};\n" + query_source(
-        found, result, postpone, waiting, key, _WAY)
+        found, result, postpone, waiting, key, _WAY, tubes=tubes)
 
 
 def _hit(*values: str) -> str:
@@ -139,6 +141,34 @@ def any_face_in_instances(
     nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
 ) -> wp.vec2i:
     """Return face, with what its instance adds, and instance of any triangle closer than t_max; -1 where none is."""
+    ...
+
+
+# The same where some meshes have tubes.
+
+
+@wp.func_native(_source(_with_instance(CLOSEST), _hit(*_FOUND), _hit(*_NONE), postponing=True, tubes=True))
+def closest_in_instances_with_tubes(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> InstanceHit:
+    """Return what closest_in_instances does."""
+    ...
+
+
+@wp.func_native(_source("return true;", "false", "false", tubes=True))
+def any_in_instances_with_tubes(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> bool:
+    """Return what any_in_instances does."""
+    ...
+
+
+@wp.func_native(_source(
+    "return wp::vec_t<2, wp::int32>(KEY, instance);", *2 * ("wp::vec_t<2, wp::int32>(-1, -1)",), tubes=True))
+def any_face_in_instances_with_tubes(
+    nodes: wp.uint64, records: wp.uint64, origin: wp.vec3, direction: wp.vec3, t_max: float,
+) -> wp.vec2i:
+    """Return what any_face_in_instances does."""
     ...
 
 

@@ -6,6 +6,8 @@ wide_bvh.py tells what nodes and triangles look like. A line that is a name in c
 
 from __future__ import annotations
 
+from .tube_query import FACES, FACES_END, FACES_MET
+
 __all__ = ["CLOSEST", "MAX_DEPTH", "POSTPONE", "RESULT", "WAITING", "Way", "query_source", "with_blocks"]
 
 
@@ -146,26 +148,29 @@ _TEST_TRIANGLE = """
             turned(as_float(r0.x) - ox, as_float(r0.y) - oy, as_float(r0.z) - oz, px, py, pz);
             turned(as_float(r1.x) - ox, as_float(r1.y) - oy, as_float(r1.z) - oz, qx, qy, qz);
             turned(as_float(r2.x) - ox, as_float(r2.y) - oy, as_float(r2.z) - oz, rx, ry, rz);
-            const unsigned int face_word = r0.w, opacity_word = r1.w, map_word = r2.w;
+            FACE_TYPE face_word = r0.w;
+            const unsigned int opacity_word = r1.w, map_word = r2.w;
 #else
             auto corner = [&](unsigned int number, float& a, float& b, float& c) -> unsigned int {
-                const wp::uint32* words = triangle_words + 4 * (size_t)(row + number);
+                const wp::uint32* words = triangle_words + 4 * (size_t)number;
                 a = as_float(words[ka]) - oa;
                 b = as_float(words[kb]) - ob;
                 c = as_float(words[axis]) - oc;
                 return words[3];
             };
-            const unsigned int face_word = corner(0u, px, py, pz);
-            const unsigned int opacity_word = corner(1u, qx, qy, qz);
-            const unsigned int map_word = corner(2u, rx, ry, rz);
+            FACE_TYPE face_word = corner(row, px, py, pz);
+            const unsigned int opacity_word = corner(row + 1u, qx, qy, qz);
+            const unsigned int map_word = corner(row + 2u, rx, ry, rz);
 #endif
+FACES
 MEET
                 if (t >= 0.0f && (t < best_t || (t == best_t && KEY < best_key))) {
                     FOUND
+FACES_MET
                 }
             }
+FACES_END
 """
-
 _TRAVERSE = """
 LOADS
 LEAST_AND_MOST
@@ -315,19 +320,22 @@ class Way:
         self.start, self.enter, self.leave, self.waiting, self.entries = start, enter, leave, waiting, entries
 
 
-def with_blocks(text: str, way: Way | None = None) -> str:
+def with_blocks(text: str, way: Way | None = None, *, tubes: bool = False) -> str:
     """Return native source with the names of blocks, on lines of their own, replaced by them."""
     way = way or Way()
     for name, block in (
             ("START", way.start), ("ENTER", way.enter), ("LEAVE", way.leave), ("LOADS", _LOADS),
             ("LEAST_AND_MOST", _LEAST_AND_MOST), ("RAY", _RAY), ("VISIT_NODE", _VISIT_NODE),
-            ("TEST_BOXES", _TEST_BOXES), ("TEST_TRIANGLE", _TEST_TRIANGLE), ("MEET", _MEET)):
+            ("TEST_BOXES", _TEST_BOXES), ("TEST_TRIANGLE", _TEST_TRIANGLE), ("MEET", _MEET),
+            ("FACES", FACES if tubes else ""), ("FACES_MET", FACES_MET if tubes else ""),
+            ("FACES_END", FACES_END if tubes else "")):
         text = text.replace(f"{name}\n", block.lstrip("\n"))
     return text
 
 
 def query_source(
-    found: str, result: str, postpone: str = "", waiting: int = 0, key: str = FACE, way: Way | None = None,
+    found: str, result: str, postpone: str = "", waiting: int = 0, key: str = FACE, way: Way | None = None, *,
+    tubes: bool = False,
 ) -> str:
     """Return the native source of a query.
 
@@ -337,10 +345,12 @@ def query_source(
         postpone: POSTPONE, or nothing for queries that end at hits.
         waiting: WAITING with POSTPONE.
         key: What tells hits at the same distance apart: the lowest counts.
+        tubes: Whether references may be tubes.
         way: Through the tree; None: through one level.
     """
     way = way or Way()
-    text = with_blocks(_TRAVERSE, way).replace("POSTPONE", postpone.lstrip("\n"))
+    text = with_blocks(_TRAVERSE, way, tubes=tubes).replace("POSTPONE", postpone.lstrip("\n"))
+    text = text.replace("FACE_TYPE", "unsigned int" if tubes else "const unsigned int")
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + way.entries + waiting))
     text = text.replace("depth < WAITING", f"{way.waiting} < {waiting}")
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"

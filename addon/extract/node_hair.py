@@ -8,6 +8,8 @@ kernel/svm).
 
 from __future__ import annotations
 
+import math
+
 from ...engine.mesh_features import HAIR
 from ...engine.program import Value
 from .node_graph import Graph
@@ -123,6 +125,9 @@ def dye_absorption(graph: Graph, color: Value, scale: Value) -> list[Value]:
 
 def logarithm(graph: Graph, value: Value, least: float) -> Value:
     """Return the natural logarithm of a value that is at least `least`."""
+    if value.constant is not None:
+        # Programs fold what Python can work out by the kernels' functions, which this is not among.
+        return graph.builder.constant(math.log(max(value.constant[0], least)))
     return graph.builder.math("LOGARITHM", graph.builder.math("MAXIMUM", value, least), E)
 
 

@@ -7,7 +7,16 @@ import dataclasses
 
 import warp as wp
 
-from ...kernels import compaction, flat_tracing, hair_light, hair_place, hair_walk, reflection_trace
+from ...kernels import (
+    compaction,
+    flat_tracing,
+    hair_full,
+    hair_lean,
+    hair_light,
+    hair_place,
+    hair_walk,
+    reflection_trace,
+)
 from ...kernels.direct_emitters import EMITTER_WORDS
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hair_light import HairHistory
@@ -109,16 +118,20 @@ class HairPass(ReflectionPass):
     def _record_directions(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
         scene, outputs = what.scene, [self.paths, self.lit_strands, self.walks]
         lights = [scene, what.split, self._emitters]
+        enter, scatter, follow = hair_full.enter_hair, hair_full.scatter_in_hair, hair_full.follow_hair
+        if what.lean_strands:
+            enter, scatter, follow = (
+                hair_lean.enter_lean_hair, hair_lean.scatter_in_lean_hair, hair_lean.follow_lean_hair)
         graph.launch(
-            hair_walk.enter_hair, self.blocks, [views, *lights, self.options, gbuffer, STRANDS],
+            enter, self.blocks, [views, *lights, self.options, gbuffer, STRANDS],
             [self.samples, self.rays, self.paths, self.vertices, self.lit_strands, self.walks])
         trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
         for _ in range(1, WAVES):
             graph.fill_list(compaction.append_living, self.blocks, [self.paths.state, self.queue], self.living)
             graph.launch_listed(trace, [scene, 0], self.living, [self.paths])
-            graph.launch_listed(hair_walk.scatter_in_hair, [*lights, STRANDS], self.living, outputs)
+            graph.launch_listed(scatter, [*lights, STRANDS], self.living, outputs)
         graph.fill_list(compaction.append_living, self.blocks, [self.paths.state, self.queue], self.living)
-        graph.launch_listed(hair_walk.follow_hair, [*lights, STRANDS], self.living, outputs, few=True)
+        graph.launch_listed(follow, [*lights, STRANDS], self.living, outputs, few=True)
         graph.launch(
             hair_walk.leave_hair, self.blocks, [scene, self.walks], [self.paths, self.vertices, self.lit_strands])
 

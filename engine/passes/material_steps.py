@@ -3,27 +3,34 @@
 
 from __future__ import annotations
 
-from ...kernels import materials, materials_exact, materials_hair, reference_hair
+from ...kernels import materials, materials_exact, materials_hair, reference_hair, reference_hair_lean
 from ...kernels.types import Scene
 from .wavefront import Step, Wavefront
 
-__all__ = ["evaluate_step", "hair_steps"]
+__all__ = ["evaluate_step", "full_steps"]
 
 
-def evaluate_step(slot: Wavefront, scene: Scene, over: str = "living") -> Step:
-    """Return what finds the closures of the hits of a list's paths, by programs that say more where there are any."""
-    kernel = materials_exact.evaluate_exact_materials if slot.exact else materials.evaluate_materials
-    if slot.hair:
+def evaluate_step(slot: Wavefront, scene: Scene, over: str = "living", *, hair: bool = True) -> Step:
+    """Return what finds the closures of the hits of a list's paths, by programs that say more where there are any.
+
+    `hair`: whether hair that scatters light may be among the hits.
+    """
+    kernel = materials_exact.evaluate_exact_materials if slot.programs.exact else materials.evaluate_materials
+    if hair and slot.programs.hair:
         kernel = materials_hair.evaluate_hair_materials
     return Step(kernel, [scene], over=over)
 
 
-def hair_steps(slot: Wavefront, shading: list) -> tuple[list[Step], str]:
-    """Return what shades hits on hair that scatters light, whose closures are known, and the list of what is left.
+def full_steps(slot: Wavefront, scene: Scene, shading: list) -> tuple[list[Step], str]:
+    """Return what finds the closures of "full_hits" and shades hair among them, and the list of what is left to shade.
 
     `shading`: as of reference.path_steps.
     """
-    if not slot.hair:
-        return [], "full_hits"
-    step = Step(reference_hair.shade_hair_paths, shading, over="full_hits", fills=("next", "other_hits"))
-    return [step], "other_hits"
+    if not slot.programs.hair:
+        return [evaluate_step(slot, scene, "full_hits")], "full_hits"
+    lists = {"over": "full_hits", "fills": ("next", "other_hits")}
+    if slot.programs.lean_strands:
+        return [Step(reference_hair_lean.shade_lean_hair_paths, shading, **lists),
+                evaluate_step(slot, scene, "other_hits", hair=False)], "other_hits"
+    return [evaluate_step(slot, scene, "full_hits"),
+            Step(reference_hair.shade_hair_paths, shading, **lists)], "other_hits"

@@ -38,6 +38,8 @@ class RayScene:
     """Whether the lean node machine runs all materials, glass included (MaterialTable.lean)"""
     lean_layers: bool = False
     """Whether it runs all transparency programs"""
+    lean_strands: bool = False
+    """Whether the lean machine of hair runs all programs of hair"""
     mirrors: bool = True
     """Whether any material sends rays on: mirrors sharper than reflection_chain.MIRROR_ROUGHNESS, or glass"""
     scatters: bool = False

@@ -37,9 +37,10 @@ from ...kernels.types import Scene
 from ...kernels.volume_grids import Volumes
 from ..clear_glass import path_scene
 from ..device import launch, run_bands
+from ..lean import LeanPrograms
 from ..report import Report, ReportKind
 from ..structures import is_flat
-from .material_steps import evaluate_step, hair_steps
+from .material_steps import evaluate_step, full_steps
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_catcher import ShadowCatchers
@@ -179,8 +180,8 @@ class ReferencePass:
         self.lock = threading.Lock()
         self.media: Media | None = None
         """Those of the scene that render() is given; None without any"""
-        self.exact = self.hair = False
-        """Whether that scene has exact programs, and hair that scatters light"""
+        self.programs = LeanPrograms()
+        """Of that scene's materials"""
         self.volumes: Volumes | None = None
         """What of them varies in space"""
 
@@ -221,8 +222,7 @@ class ReferencePass:
         """Take in what paths keep beside their states, or meet beside surfaces."""
         media = source.media
         self.media, self.volumes = (media.struct, media.volumes) if media is not None else (None, None)
-        lean = source.material_table.lean
-        self.exact, self.hair = lean.exact, lean.hair
+        self.programs = source.material_table.lean
 
     def note_scene(self) -> None:
         """Take in that the scene has changed."""
@@ -251,7 +251,7 @@ class ReferencePass:
             if self.catchers is not None:
                 slot.catching = self.catchers.make_paths(self.capacity)
         fit_media(slot, self.media, self.volumes)
-        slot.exact, slot.hair = self.exact, self.hair
+        slot.programs = self.programs
         return slot
 
     def give_slot(self, slot: Wavefront) -> None:
@@ -380,8 +380,8 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     if not options.all_lean:
         steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
     if not options.all_plain:
-        hair, over = hair_steps(slot, shading)
-        steps += [evaluate_step(slot, scene, "full_hits"), *hair]
+        evaluating, over = full_steps(slot, scene, shading)
+        steps += evaluating
         if options.subsurface == 1:
             steps.append(below_step(shading, over))
         else:

@@ -135,7 +135,7 @@ class ShadowCatchers:
         slot = kept.slot
         media = first.media and first.media.media
         fit_media(slot, media, first.media and first.media.volumes)
-        slot.exact, slot.hair = first.exact, first.hair
+        slot.programs = first.programs
         if not options.transparent:
             slot.trace("backdrop", (world, options), lambda: [
                 Step(shadow_catcher.miss_all, []), Step(misses.shade_misses, [world, options], fills=("more_hits",)),

@@ -21,6 +21,7 @@ from ...kernels import path_lists, tracing
 from ...kernels.paths import Paths
 from ...kernels.types import Closure, FrameData
 from ..device import launch, record
+from ..lean import LeanPrograms
 from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
 
 __all__ = ["Step", "Wavefront", "make_paths"]
@@ -85,10 +86,8 @@ class Wavefront:
         """What is kept of the paths for the passes of light (path_light.py)"""
         self.media: Any = None
         """What is kept of the media that they are in (media.py); None in scenes without any"""
-        self.exact = False
-        """Whether the scene has exact programs (MaterialData.exact)"""
-        self.hair = False
-        """Whether it has hair that scatters light (MaterialData.hair)"""
+        self.programs = LeanPrograms()
+        """Of the scene's materials"""
         self.catching: Any = None
         """The same for shadow catchers (shadow_catcher.py)"""
         self.frame = wp.zeros(1, dtype=FrameData, device=device)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from burnish.engine import wide_bvh
+from burnish.engine.hair import Strands, make_tubes
 from burnish.engine.scene import MeshData
 
 from tests import scenes
@@ -96,6 +97,23 @@ def test_part_of_a_frame(orthographic):
     part = ((2 * SIZE[0], 2 * SIZE[1]), (60, 35))
     hits = compare(one(soup(300, 9, 0.7, 3.0)), view, differing=2, part=part)
     assert (hits["hit"] != found(one(soup(300, 9, 0.7, 3.0)), view, False)["hit"]).any()
+
+
+def test_tubes_of_hair():
+    """Draw strands, each piece of which is one item of the BVH, and what lies between them."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-3, 3, (300, 1, 3)) + np.linspace(0, 1.5, 5)[:, None] * rng.normal(size=(300, 1, 3))
+    radii = rng.uniform(0.005, 0.06, (300, 1)) * np.linspace(1, 0.3, 5)
+    radii[::3, -1] = 0.0
+    hair = make_tubes(Strands(
+        points.reshape(-1, 3).astype(np.float32), radii.ravel().astype(np.float32), np.full(300, 5)), 2)
+    loose = soup(200, 1, 0.1, 3.0)
+    positions = np.concatenate([loose.positions, hair.positions])
+    made = one(scenes.mesh(positions, np.concatenate([loose.triangles, hair.triangles + len(loose.positions)])))
+    hits = compare(made, camera(), differing=4)
+    assert 0.2 < (hits["hit"][:, 0] >= 0).mean() < 1.0
+    frames = GBufferFrames(made, SIZE, rasterizing=True)
+    assert frames.scene.structures.opaque.wide.tubes
 
 
 def test_slivers_and_points():

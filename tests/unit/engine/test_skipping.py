@@ -123,7 +123,8 @@ FEATURES = {
         ("Refraction walks", "Refraction denoising"), ("refraction rays",)),
     "light in hair": Feature(
         "hair", ball(hair()), ball(MATTE),
-        ("find_hair", "enter_hair", "scatter_in_hair", "leave_hair", "average_hair", "spread_hair", "show_hair"),
+        ("find_hair", "enter_lean_hair", "scatter_in_lean_hair", "follow_lean_hair", "leave_hair", "average_hair",
+         "spread_hair", "show_hair"),
         ("Hair rays", "Hair denoising"), ("hair rays",)),
     "light of other shapes": Feature(
         "lobes of other shapes", ball(scenes.material("DIFFUSE", color=0.5, roughness=0.5)), ball(MATTE),

@@ -176,7 +176,7 @@ def test_many_meshes_share_a_forest(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_forest_too_deep_gives_way_to_trees(monkeypatch: pytest.MonkeyPatch) -> None:
     """Build each mesh's tree by itself where their forest has more levels than a ray's stack has room for."""
     monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0)
-    monkeypatch.setattr("burnish.engine.instance_level.build_forest", lambda *_: None)
+    monkeypatch.setattr("burnish.engine.instance_level.build_forest", lambda *_, **__: None)
     shapes = {f"ball {i}": scenes.sphere(0.3, rings=5 + i) for i in range(3)}
     placed = [(key, scenes.place(x=i, y=k), "grey") for i, key in enumerate(shapes) for k in range(2)]
     made = DeviceScene(DEVICE)
