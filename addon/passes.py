@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..engine.pass_names import COLOR_AOV, GROUP_PREFIX, MATTE_KINDS, VALUE_AOV
+from ..engine.pass_names import COLOR_AOV, GROUP_PREFIX, MATTE_KINDS, SHADOW_CATCHER, VALUE_AOV
 from ..engine.report import Report, ReportKind
 from ..engine.settings import Integrator
 from . import compat
@@ -57,10 +57,11 @@ MATTE_SWITCHES = {kind: f"use_pass_cryptomatte_{kind.removeprefix('Crypto').lowe
 VOLUME_SWITCHES = {"Volume Direct": "use_pass_volume_direct", "Volume Indirect": "use_pass_volume_indirect"}
 """Passes of the reference integrator alone, by their switches"""
 
+CATCHER_SWITCH = "use_pass_shadow_catcher"
+
 NOT_DRAWN = {"Subsurface Direct": "use_pass_subsurface_direct",
              "Subsurface Indirect": "use_pass_subsurface_indirect", "Subsurface Color": "use_pass_subsurface_color",
-             "Volume Scatter": "use_pass_volume_scatter", "Volume Transmit": "use_pass_volume_transmit",
-             "Shadow Catcher": "use_pass_shadow_catcher"}
+             "Volume Scatter": "use_pass_volume_scatter", "Volume Transmit": "use_pass_volume_transmit"}
 """Passes that neither integrator has, by their switches: of the view layer or of Cycles' settings of it"""
 
 
@@ -79,6 +80,8 @@ def enabled_aovs(view_layer: Any, integrator: Integrator) -> Iterator[Aov]:
             yield Aov(aov.name, aov_source(aov), "X", 'VALUE', "aovs")
         elif aov.is_valid:
             yield Aov(aov.name, aov_source(aov), "RGBA", 'COLOR', "aovs")
+    if has_switch(view_layer, CATCHER_SWITCH):
+        yield Aov(compat.pass_name(SHADOW_CATCHER), SHADOW_CATCHER, "RGB", 'COLOR', CATCHER_SWITCH)
     if integrator == Integrator.REFERENCE:
         for name, switch in VOLUME_SWITCHES.items():
             if has_switch(view_layer, switch):

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names of passes of the first surfaces (passes/first_hits.py) and of light groups. Without Warp, for registration."""
+"""Names of passes of the first surfaces (passes/first_hits.py), of light groups and of shadow catchers.
+
+Without Warp, for registration.
+"""
 
 from __future__ import annotations
 
 __all__ = [
-    "COLOR_AOV", "FIRST_HIT_PASSES", "GROUP_PREFIX", "MATTE_KINDS", "OCCLUSION", "SHADOW", "VALUE_AOV",
-    "first_hit_channels"]
+    "COLOR_AOV", "FIRST_HIT_PASSES", "GROUP_PREFIX", "MATTE_KINDS", "OCCLUSION", "SHADOW", "SHADOW_CATCHER",
+    "VALUE_AOV", "first_hit_channels"]
 
 COLOR_AOV, VALUE_AOV = "Color AOV ", "Value AOV "
 """What the engine's names of shader AOVs begin with"""
@@ -17,6 +20,9 @@ MATTE_KINDS = ("CryptoObject", "CryptoMaterial", "CryptoAsset")
 """What the names of Cryptomatte's passes begin with: `CryptoObject00` and so on"""
 
 OCCLUSION, SHADOW = "Ambient Occlusion", "Shadow"
+
+SHADOW_CATCHER = "Shadow Catcher"
+"""What backgrounds are multiplied by; Combined has no shadow of its own then, as in Cycles"""
 
 LEVELS_MAX = 16
 """Things that a pixel of Cryptomatte can hold, two in each pass"""

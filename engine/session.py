@@ -21,13 +21,13 @@ from .device import choose_device, device_errors, device_info
 from .device_scene import DeviceScene
 from .errors import InvalidScene
 from .frame_data import frame_row
-from .pass_names import first_hit_channels
+from .pass_names import SHADOW_CATCHER, first_hit_channels
 from .passes.composite import LIGHT_PASSES
 from .passes.final_denoise import FinalDenoise
 from .passes.first_hits import FirstHits
 from .passes.path_light import is_light_pass
 from .passes.reference import FilmBuffers, ReferencePass
-from .passes.shadow_catcher import ShadowCatchers
+from .passes.shadow_catcher import ShadowCatchers, shadow_pass
 from .path_options import path_options
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
@@ -186,10 +186,10 @@ class Session:
         change = change_since(settings, self.settings)
         if settings.performance.opacity_maps != self.settings.performance.opacity_maps:
             self._scene.use_opacity_maps(settings.performance.opacity_maps)
-        traced = settings.sampling.integrator == Integrator.REFERENCE
+        traced, apart = settings.sampling.integrator == Integrator.REFERENCE, SHADOW_CATCHER in passes
         light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
         extra = any(name in PASSES and name not in ("Combined", *light) for name in passes)
-        key = (crop[2] * crop[3], extra, settings.sampling.integrator, catchers, light if traced else ())
+        key = (crop[2] * crop[3], extra, settings.sampling.integrator, catchers and 1 + apart, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
         view = camera, (width, height, crop)
@@ -204,7 +204,7 @@ class Session:
             if change & Change.RESIZE:
                 self._film = None
                 self._film = FilmBuffers.make(key[0], extra, self.device, key[-1])
-                self._pass.catchers = ShadowCatchers(self.device) if catchers else None
+                self._pass.catchers = ShadowCatchers(self.device, apart) if catchers else None
                 self._pass.resize(key[0], extra, self._film.light)
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
@@ -310,11 +310,10 @@ class Session:
         Raises:
             KeyError: No such pass, or configure() was not told that it would be read.
         """
-        channels = first_hit_channels(name)
+        channels = first_hit_channels(name) or 3 * (name == SHADOW_CATCHER)
         if not (name == "Combined" or channels or is_light_pass(name) or (name in PASSES and self._film.passes)):
             raise KeyError(name)
-        start = time.perf_counter()
-        width, height = self._size[2][2], self._size[2][3]
+        start, (width, height) = time.perf_counter(), self._size[2][2:]
         picture = self._read_flat(name).reshape(height, width, channels or PASSES.get(name, 3))
         self.stats.times["read"] = time.perf_counter() - start
         return np.array(picture, np.float32, order="C")
@@ -365,6 +364,8 @@ class Session:
     def _read_flat(self, name: str) -> np.ndarray:
         if name == "Combined":
             return self._inbox.read(self.resolve())
+        if name == SHADOW_CATCHER:
+            return shadow_pass(self._pass.catchers, self._film.film).numpy()
         if is_light_pass(name):
             return (self._realtime.light_pass if self._realtime else self._film.light.read)(name).numpy()
         if first_hit_channels(name):
@@ -377,8 +378,7 @@ class Session:
 
     def _set_frame(self) -> None:
         if self._camera is not None:
-            width, height, crop = self._size
-            origin = self._scene.origin
+            (width, height, crop), origin = self._size, self._scene.origin
             # A camera that can't be used must not be met again by the next update.
             camera, self._camera = self._camera, None
             self._frame = frame_row(camera, width, height, crop, self.settings.sampling.seed, origin)

@@ -205,6 +205,41 @@ def resolve_caught(
 
 
 @wp.kernel
+def leave_out_caught(
+    # In:
+    film: Film,
+    catchers: CatcherFilm,
+    exposure: float,
+    # Out:
+    picture_out: wp.array[wp.vec4],
+):
+    """Make the picture of all but the catchers, which are clear."""
+    pixel = wp.tid()
+    inverse = 1.0 / wp.max(film_samples(film, pixel), 1.0)
+    seen = film_mean(film, pixel)
+    lit = catchers.lit[pixel] * inverse
+    light = wp.max(rgb(seen) - rgb(lit) * exposure, wp.vec3(0.0, 0.0, 0.0))
+    picture_out[pixel] = wp.vec4(light[0], light[1], light[2], wp.clamp(seen[3] - lit[3], 0.0, 1.0))
+
+
+@wp.kernel
+def resolve_shadow(
+    # In:
+    film: Film,
+    catchers: CatcherFilm,
+    # Out:
+    shadow_out: wp.array[wp.vec3],
+):
+    """Write by what the light of what lies behind is multiplied: the ratio of the sums, as far as anything is seen."""
+    pixel = wp.tid()
+    shadow = wp.vec3(1.0, 1.0, 1.0)
+    if catchers.lit[pixel][3] > 0.0:
+        ratio = even_ratio(rgb(catchers.lit[pixel]), catchers.alone[pixel])
+        shadow = wp.lerp(shadow, ratio, wp.clamp(film_mean(film, pixel)[3], 0.0, 1.0))
+    shadow_out[pixel] = shadow
+
+
+@wp.kernel
 def show_alpha(
     # In:
     picture: wp.array[wp.vec4],

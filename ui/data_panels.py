@@ -197,11 +197,19 @@ class BURNISH_VIEWLAYER_PT_passes_light(BurnishPanel, Panel):
             column = layout.column(heading=lobe.title(), align=True)
             for name in ("direct", "indirect", "color"):
                 column.prop(layer, f"use_pass_{lobe}_{name}", text=name.title())
+        # Blender keeps some switches in Cycles' settings, which are there while that is enabled.
+        cycles = getattr(layer, "cycles", None)
+        if cycles is not None:
+            column = layout.column(heading="Volume", align=True)
+            for name in ("direct", "indirect"):
+                column.prop(cycles, f"use_pass_volume_{name}", text=name.title())
         column = layout.column(heading="Other", align=True)
         column.prop(layer, "use_pass_emit", text="Emission")
         column.prop(layer, "use_pass_environment")
         column.prop(layer, "use_pass_ambient_occlusion", text="Ambient Occlusion")
         column.prop(layer, "use_pass_shadow")
+        if cycles is not None:
+            column.prop(cycles, "use_pass_shadow_catcher", text="Shadow Catcher")
 
 
 class BURNISH_VIEWLAYER_PT_passes_cryptomatte(BurnishPanel, ViewLayerCryptomattePanelHelper, Panel):

@@ -30,7 +30,7 @@ from .wavefront import Step, Wavefront
 if TYPE_CHECKING:
     from ..device_scene import DeviceScene
 
-__all__ = ["CatcherPaths", "ShadowCatchers"]
+__all__ = ["CatcherPaths", "ShadowCatchers", "shadow_pass"]
 
 CATCHER = int(Visibility.SHADOW_CATCHER)
 
@@ -51,8 +51,9 @@ class CatcherPaths:
 class ShadowCatchers:
     """The catchers of one session: their scene, and the sums of one film."""
 
-    def __init__(self, device: str) -> None:
-        self.device = device
+    def __init__(self, device: str, apart: bool = False) -> None:
+        """`apart`: whether the shadow is a pass of its own, which the picture lacks."""
+        self.device, self._apart = device, apart
         self._structures = Structures(device)
         self._scenes: tuple[types.Scene, types.Scene, Options] | None = None
         self._film: shadow_catcher.CatcherFilm | None = None
@@ -153,8 +154,17 @@ class ShadowCatchers:
 
     def resolve(self, film: Film, transparent: bool, exposure: float, picture: wp.array) -> None:
         """Make the picture: vec4 [pixels]."""
-        launch(shadow_catcher.resolve_caught, len(picture), [film, self._film, int(transparent), exposure], [picture],
-               self.device)
+        if self._apart:
+            launch(shadow_catcher.leave_out_caught, len(picture), [film, self._film, exposure], [picture], self.device)
+        else:
+            launch(shadow_catcher.resolve_caught, len(picture), [film, self._film, int(transparent), exposure],
+                   [picture], self.device)
+
+    def shadow(self, film: Film) -> wp.array:
+        """Return what is left of light on what lies behind the scene: vec3 [pixels], above 1 where there is more."""
+        shadow = wp.empty(len(self._film.lit), dtype=wp.vec3, device=self.device)
+        launch(shadow_catcher.resolve_shadow, len(shadow), [film, self._film], [shadow], self.device)
+        return shadow
 
     def denoise(self, run: Callable[..., wp.array], picture: wp.array) -> wp.array:
         """Return a picture without noise, alpha included, where the shadow is; `run`: as FinalDenoise.run()."""
@@ -165,3 +175,10 @@ class ShadowCatchers:
             smooth = run(traced=None, picture=alpha)
             launch(shadow_catcher.take_alpha, len(picture), [smooth], [denoised], self.device)
         return denoised
+
+
+def shadow_pass(catchers: ShadowCatchers | None, film: Film) -> wp.array:
+    """Return the pass Shadow Catcher: vec3 [pixels], 1 where there are no catchers."""
+    if catchers is not None:
+        return catchers.shadow(film)
+    return wp.full(len(film.squares), wp.vec3(1.0), dtype=wp.vec3, device=film.squares.device)

@@ -55,7 +55,35 @@ def picture(scene, engine, samples):
     bpy.ops.render.render(write_still=True)
     return np.array(oiio.ImageBuf(render.filepath).get_pixels()), made
 
+def parts(scene, engine, samples):
+    """Return Combined and the pass Shadow Catcher."""
+    layer, settings = scene.view_layers[0], scene.render.image_settings
+    layer.cycles.use_pass_shadow_catcher = True
+    scene.render.film_transparent = True
+    picture(scene, engine, samples)
+    if hasattr(settings, "media_type"):
+        settings.media_type = 'MULTI_LAYER_IMAGE'
+    settings.file_format, scene.render.filepath = 'OPEN_EXR_MULTILAYER', f"{FOLDER}/parts_{engine}.exr"
+    bpy.ops.render.render(write_still=True)
+    found, number = {}, 0
+    while number < oiio.ImageBuf(scene.render.filepath).nsubimages:
+        part = oiio.ImageBuf(scene.render.filepath, number, 0)
+        for channel, name in enumerate(part.spec().channelnames):
+            found[name.removeprefix("ViewLayer.")] = np.array(part.get_pixels())[..., channel]
+        number += 1
+    if hasattr(settings, "media_type"):
+        settings.media_type = 'IMAGE'
+    return [np.stack([found[f"{name}.{channel}"] for channel in channels], -1)
+            for name, channels in (("Combined", "RGBA"), ("Shadow Catcher", "RGB"))]
+
 results = {}
+for kind in ("ball", "wall", "none"):
+    scene = build(kind)
+    for each in scene.objects if kind == "none" else ():
+        each.is_shadow_catcher = False
+    ours, cycles = parts(scene, 'BURNISH', 96), parts(scene, 'CYCLES', 256)
+    results[f"pass, {kind}"] = [[[each.mean((0, 1)).tolist() for each in both] for both in (ours, cycles)],
+                                [float(np.abs(a - b).mean()) for a, b in zip(ours, cycles)]]
 for kind, transparent in (("ball", True), ("ball", False), ("mirror", True), ("wall", True), ("wall", False)):
     scene = build(kind)
     scene.render.film_transparent = transparent
@@ -89,6 +117,19 @@ def test_shadows_are_those_of_cycles(results: dict[str, list], name: str) -> Non
     np.testing.assert_allclose(ours, cycles, rtol=0.06 if name.startswith("mirror") else 0.02)
     assert off < 0.01 and cycles[3] > 0.2, (off, cycles)
     assert "path-traced" in report and "not drawn" not in report
+
+
+@pytest.mark.parametrize("kind", ["ball", "wall", "none"])
+def test_the_pass_is_that_of_cycles(results: dict[str, list], kind: str) -> None:
+    """Give the shadow as a factor for backgrounds, more light included; then the picture lacks it, as in Cycles."""
+    (ours, cycles), off = results[f"pass, {kind}"]
+    np.testing.assert_allclose(ours[0], cycles[0], rtol=0.02)
+    np.testing.assert_allclose(ours[1], cycles[1], rtol=0.005)
+    assert max(off) < 0.01, off
+    if kind == "none":
+        assert ours[1] == [1.0, 1.0, 1.0]
+    else:
+        assert ours[1][2] < 0.97
 
 
 def test_denoised_shadows_are_smooth(results: dict[str, list]) -> None:

@@ -7,6 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from burnish.engine.pass_names import SHADOW_CATCHER
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
 from burnish.engine.settings import FilmSettings, Integrator, PixelFilter, SamplingSettings
@@ -35,14 +36,14 @@ ROOF = ("roof", scenes.place(z=3.5), "black")
 
 
 def session_of(made: SceneDelta, *, transparent: bool = True, integrator: Integrator = Integrator.REFERENCE,
-               samples: int = 16) -> Session:
+               samples: int = 16, passes: tuple[str, ...] = ("Combined",)) -> Session:
     """Render."""
     settings = dataclasses.replace(
         scenes.SETTINGS, sampling=SamplingSettings(integrator=integrator),
         film=FilmSettings(pixel_filter=PixelFilter.BOX, transparent=transparent))
     session = Session(settings)
     session.update(made)
-    session.configure(settings, CAMERA, 16, 16)
+    session.configure(settings, CAMERA, 16, 16, passes=passes)
     session.step(samples)
     return session
 
@@ -84,6 +85,27 @@ def test_light_of_other_things_is_no_shadow() -> None:
     assert session_of(caught(glow, lamp=0.0), samples=64).read()[6:10, 6:10, 3].max() < 0.2
     shown = session_of(caught(glow, lamp=0.0), transparent=False, samples=64).read()[6:10, 6:10, :3]
     np.testing.assert_allclose(shown.mean(), SKY, rtol=0.03)
+
+
+@pytest.mark.parametrize("transparent", [True, False])
+def test_the_pass_has_the_shadow_and_the_picture_lacks_it(transparent: bool) -> None:
+    """Tell by what a background is to be multiplied: less in shadow, more by light of others, 1 beside catchers."""
+    passes = "Combined", SHADOW_CATCHER
+    shadow = session_of(caught(ROOF), samples=256).read()[6:10, 6:10, 3].mean()
+    session = session_of(caught(ROOF), transparent=transparent, samples=256, passes=passes)
+    factor = session.read(SHADOW_CATCHER)
+    assert factor.shape == (16, 16, 3)
+    np.testing.assert_allclose(factor[6:10, 6:10].mean(), 1.0 - shadow, rtol=0.02)
+    np.testing.assert_allclose(session.read(), 0.0, atol=1e-5)
+    glow = session_of(caught(("small", scenes.place(z=3.5), "glow", NO_SHADOW), lamp=0.0), samples=64, passes=passes)
+    assert glow.read(SHADOW_CATCHER)[6:10, 6:10].mean() > 1.05
+    box = ("small", scenes.place(z=0.5), "grey", NO_SHADOW)
+    before = session_of(caught(box), samples=16, passes=passes)
+    np.testing.assert_array_equal(before.read(SHADOW_CATCHER)[7:9, 7:9], 1.0)
+    assert before.read()[7:9, 7:9, 3].min() == 1.0
+    plain = session_of(caught(ROOF, catcher=False), passes=passes)
+    np.testing.assert_array_equal(plain.read(SHADOW_CATCHER), 1.0)
+    assert plain.read()[..., 3].min() > 0.0
 
 
 def test_both_integrators_are_path_traced() -> None:
