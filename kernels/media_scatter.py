@@ -9,7 +9,7 @@ from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, 
 from .intersect import MISS
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
-from .light_choice import LightChoice, choice_of_none, chosen_light, consider
+from .light_choice import LightChoice, chosen_light, consider
 from .light_linking import blockers, kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .media import (
@@ -22,7 +22,7 @@ from .media import (
     return_chance,
 )
 from .misses import add_world, takes_more
-from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, candidate_place
+from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, begin_choice, candidate_place
 from .paths import ENDED, Options, Paths, survives
 from .sampling import (
     DIMENSION_BSDF,
@@ -156,7 +156,7 @@ def light_scattered(
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     no_side = wp.vec3(0.0, 0.0, 0.0)
-    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, no_side)
     k = int(0)
     while k < LIGHT_CANDIDATES:

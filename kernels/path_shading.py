@@ -14,7 +14,7 @@ from .geometry_math import is_finite3, max_component, normalize_or, power_heuris
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
-from .light_choice import choice_of_none, chosen_light, consider
+from .light_choice import LightChoice, choice_of_none, chosen_light, consider
 from .light_linking import (
     blockers,
     emission_counts,
@@ -38,6 +38,7 @@ from .paths import (
 )
 from .principled import evaluate_bsdf, sample_bsdf
 from .sampling import (
+    BELOW_ONE,
     DIMENSION_BSDF,
     DIMENSION_FIRST_BOUNCE,
     DIMENSION_LIGHT,
@@ -69,9 +70,8 @@ from .wide_loads import load_instance, load_material_flags
 
 __all__ = ["aim_shadow_ray", "begin_hit", "continue_path", "is_held_out", "light_hit", "set_shadow_ray", "shade_hit"]
 
-# Light samples of which one gets a shadow ray, and the step from one's second number to the next's.
+# Light samples of which one gets a shadow ray.
 LIGHT_CANDIDATES = wp.constant(2)
-GOLDEN = wp.constant(0.6180340)
 
 
 @wp.func
@@ -236,8 +236,24 @@ def weighed_light(point: ShadingPoint, value: BsdfValue, s: LightSample) -> wp.v
 
 @wp.func
 def candidate_place(place: wp.vec2, number: float, count: int) -> wp.vec2:
-    """Return the numbers of one of `count` light candidates; the passes of light draw them once more."""
-    return wp.vec2(fraction(place[0] + number / float(count)), fraction(place[1] + number * GOLDEN))
+    """Return the numbers of one of `count` light candidates, of which each part of the first number has one.
+
+    The second numbers of neighbours are half of the range apart, so that whole strata change places. The passes of
+    light draw candidates once more.
+    """
+    return wp.vec2(
+        (fraction(place[0] * float(count)) + number) / float(count), fraction(place[1] + 0.5 * number))
+
+
+@wp.func
+def begin_choice(place: wp.vec2, number: float) -> LightChoice:
+    """Return a choice among the two candidates before the first, by a number in [0, 1).
+
+    Of candidates that would add as much that in the half of `place` itself is kept: over samples, those kept are as
+    even then as `place` is. Which half that is says nothing about where in its half each candidate lies.
+    """
+    second = wp.floor(place[0] * 2.0)
+    return choice_of_none(wp.min(0.5 * (1.0 - second + number), BELOW_ONE))
 
 
 @wp.func
@@ -254,7 +270,7 @@ def sample_direct_light(
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     side = front_of(bsdf)
     throughput = paths.throughput[path]
-    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:

@@ -12,12 +12,13 @@ from .geometry_math import is_finite3
 from .hair_exit import leaving_point
 from .hair_lobes import HairLobes, evaluate_hair, hair_lobes, sample_hair
 from .lamp_hit import FAR
-from .light_choice import choice_of_none, chosen_light, consider
+from .light_choice import chosen_light, consider
 from .light_linking import kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
 from .path_shading import (
     LIGHT_CANDIDATES,
     aim_shadow_ray,
+    begin_choice,
     begin_hit,
     candidate_place,
     continue_path,
@@ -65,7 +66,7 @@ def light_hair(scene: Scene, point: ShadingPoint, lobes: HairLobes, paths: Paths
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     everywhere = wp.vec3(0.0, 0.0, 0.0)
     throughput = paths.throughput[path]
-    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, everywhere)
     k = int(0)
     while k < LIGHT_CANDIDATES:

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from .light_choice import choice_of_none
 from .lights import class_total, sample_light_of
 from .media import Inside, Media, MediaPaths, load_inside
 from .media_scatter import aim_at_choice, go_on_scattered, scattered_direction, weigh_light
-from .path_shading import LIGHT_CANDIDATES, candidate_place
+from .path_shading import LIGHT_CANDIDATES, begin_choice, candidate_place
 from .paths import Options, Paths, survives
 from .sampling import (
     DIMENSION_BSDF,
@@ -40,7 +39,7 @@ def light_in_volume(
     place = sample_pair(seed, index, dimension + DIMENSION_LIGHT)
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     no_side = wp.vec3(0.0, 0.0, 0.0)
-    choice = choice_of_none(sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
     classes = class_total(scene.lights, no_side)
     k = int(0)
     while k < LIGHT_CANDIDATES:

@@ -8,7 +8,7 @@ from burnish.engine.stress.scenes import balls_in_sky, principled
 from tests import glossy_checks
 from tests.light_checks import Setup, luminance
 
-SMALL = Setup((144, 48), truth_samples=64)
+SMALL = Setup((144, 48), truth_samples=256)
 GLASS = Setup((144, 48), truth_samples=512)
 BOX = Setup((48, 36), truth_samples=512)
 
