@@ -13,7 +13,7 @@ from ..kernels import tube_items as tube_kernels
 from ..kernels import wide_bvh_build as kernels
 from ..kernels.wide_bvh import TRIANGLE_WORDS, TUBE_ROWS
 from .device import launch
-from .tube_items import Tubes
+from .tube_items import TubeItems
 from .work_list import make_queue
 
 __all__ = ["References", "bound_tubes", "one_to_each", "whole_triangles", "with_tubes", "write_references"]
@@ -70,7 +70,7 @@ def one_to_each(points: wp.array, indices: wp.array, chosen: np.ndarray | None) 
     return References(faces, wp.zeros(len(faces), dtype=wp.vec2ui, device=device), lower, upper)
 
 
-def with_tubes(points: wp.array, indices: wp.array, parts: References, tubes: Tubes) -> References:
+def with_tubes(points: wp.array, indices: wp.array, parts: References, tubes: TubeItems) -> References:
     """Return references to tubes too, after the others."""
     device, first, count = points.device.alias, len(parts.faces), len(tubes.heads)
     made = References(*(wp.zeros(first + count, dtype=each.dtype, device=device) for each in parts.arrays),
@@ -84,7 +84,7 @@ def with_tubes(points: wp.array, indices: wp.array, parts: References, tubes: Tu
 
 
 def bound_tubes(
-    points: wp.array, indices: wp.array, parts: References, tubes: Tubes, places: np.ndarray,
+    points: wp.array, indices: wp.array, parts: References, tubes: TubeItems, places: np.ndarray,
 ) -> None:
     """Make the references at int32 [T] places tubes."""
     heads, at = (wp.array(each, dtype=int, device=points.device) for each in (tubes.heads, places))

@@ -11,11 +11,11 @@ import warp as wp
 from ..kernels import tube_items as kernels
 from .device import launch
 
-__all__ = ["Tubes", "find_tubes"]
+__all__ = ["TubeItems", "find_tubes"]
 
 
 @dataclass(frozen=True, eq=False)
-class Tubes:
+class TubeItems:
     """T tubes among triangles."""
 
     heads: np.ndarray
@@ -26,7 +26,7 @@ class Tubes:
     """int32, the faces that are part of none, ascending"""
 
 
-def find_tubes(points: wp.array, indices: wp.array) -> Tubes | None:
+def find_tubes(points: wp.array, indices: wp.array) -> TubeItems | None:
     """Return the tubes among triangles, None where there are none.
 
     Args:
@@ -47,4 +47,4 @@ def find_tubes(points: wp.array, indices: wp.array) -> Tubes | None:
     ends = np.zeros(count + 1, np.int8)
     ends[heads] += 1
     ends[heads + sizes] -= 1
-    return Tubes(heads, sizes, np.flatnonzero(np.cumsum(ends[:-1], dtype=np.int8) == 0).astype(np.int32))
+    return TubeItems(heads, sizes, np.flatnonzero(np.cumsum(ends[:-1], dtype=np.int8) == 0).astype(np.int32))
