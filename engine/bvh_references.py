@@ -53,7 +53,7 @@ def write_references(points: wp.array, indices: wp.array, items: wp.array, parts
         order = items.numpy()
         places = np.flatnonzero(parts.sizes[order] > 1).astype(np.int32)
         heads = parts.faces.numpy()[order[places]]
-    words = wp.zeros(TRIANGLE_WORDS * count + 4 * int(TUBE_ROWS) * len(heads), dtype=wp.uint32, device=device)
+    words = wp.empty(TRIANGLE_WORDS * count + 4 * int(TUBE_ROWS) * len(heads), dtype=wp.uint32, device=device)
     launch(kernels.write_triangles, count, [points, indices, items, parts.faces, parts.steps], [words], device.alias)
     launch(tube_kernels.write_tubes, len(heads), [
         points, indices, wp.array(heads, dtype=int, device=device), wp.array(places, dtype=int, device=device), count],

@@ -88,20 +88,16 @@ def is_lean(code: Sequence[Instruction], program: Program, *, glass: bool = Fals
         program: Whose constants it reads.
         glass: Whether the closure may let light through (node_lean.plain_bsdf).
     """
-    closures = [at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE]
-    if not closures:
+    at = _first_closure(code)
+    if at < 0:
         return _known(code, SURFACE_OPERATIONS)
-    # The machine stops at a closure, so nothing but its arguments may follow.
-    ends = closures[0] + code[closures[0]][2] + 1 == len(code)
-    return ends and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, closures[0], glass)
+    return _is_last(code, at) and _known(code, SURFACE_OPERATIONS) and _is_plain(code, program, at, glass)
 
 
 def is_lean_strand(program: Program) -> bool:
     """Return whether the lean machine of hair (kernels/node_strands.py) can run a program for hair."""
-    code = program.surface
-    closures = [at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE]
-    return len(closures) == 1 and closures[0] + code[closures[0]][2] + 1 == len(code) and _known(
-        code, STRAND_OPERATIONS)
+    at = _first_closure(program.surface)
+    return at >= 0 and _is_last(program.surface, at) and _known(program.surface, STRAND_OPERATIONS)
 
 
 def has_film(program: Program) -> bool:
@@ -118,6 +114,16 @@ def looks_within(program: Program) -> bool:
 def is_lean_transparency(program: Program) -> bool:
     """Return whether the lean machine can run the transparency program."""
     return _known(program.transparency, LEAN_OPERATIONS)
+
+
+def _first_closure(code: Sequence[Instruction]) -> int:
+    """Return where the first closure is, -1 without one."""
+    return next((at for at, word in enumerate(code) if word[0] & 255 == codes.OP_CLOSURE), -1)
+
+
+def _is_last(code: Sequence[Instruction], at: int) -> bool:
+    """Return whether nothing but its arguments follows a closure: lean machines stop there."""
+    return at + code[at][2] + 1 == len(code)
 
 
 def _known(code: Sequence[Instruction], known: dict[int, Callable[[int], bool]]) -> bool:

@@ -4,7 +4,7 @@
 A ray for each block of pixels: in the strand that the pixel shows, and in those that it meets from there, it draws a
 direction from their lobes (hair_lobes.py) and looks for lights. Of the lights in all strands chance keeps one, by what
 it would bring, for a shadow ray. What leaves the hair goes on as other rays do, and after some strands hair is lit like
-any surface. Kernels are in hair_full.py and hair_lean.py, by the programs of hair that there are.
+any surface. The kernels that run programs are in hair_full.py and hair_lean.py, by what programs of hair there are.
 """
 
 from __future__ import annotations

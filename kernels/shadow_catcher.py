@@ -185,41 +185,29 @@ def resolve_caught(
     film: Film,
     catchers: CatcherFilm,
     transparent: int,
+    apart: int,
     exposure: float,
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
-    """Make the picture: other things over the shadow, which is alpha, or darkens the world behind."""
+    """Make the picture: other things over the shadow, which is alpha, or darkens the world behind.
+
+    With `apart` 1 the shadow is a pass of its own: catchers are clear.
+    """
     pixel = wp.tid()
     inverse = 1.0 / wp.max(film_samples(film, pixel), 1.0)
     seen = film_mean(film, pixel)
     lit = catchers.lit[pixel] * inverse
     matte = rgb(seen) - rgb(lit) * exposure
     # Light that other things add is left out: there is no negative alpha.
-    left = wp.min(mean_component(even_ratio(rgb(lit), catchers.alone[pixel] * inverse)), 1.0)
+    left = float(1.0)
+    if apart == 0:
+        left = wp.min(mean_component(even_ratio(rgb(lit), catchers.alone[pixel] * inverse)), 1.0)
     alpha = wp.clamp(seen[3] - lit[3] * left, 0.0, 1.0)
-    if transparent == 0:
+    if transparent == 0 and apart == 0:
         matte = matte + catchers.backdrop[pixel] * (inverse * exposure * left)
         alpha = 1.0
     picture_out[pixel] = wp.vec4(wp.max(matte[0], 0.0), wp.max(matte[1], 0.0), wp.max(matte[2], 0.0), alpha)
-
-
-@wp.kernel
-def leave_out_caught(
-    # In:
-    film: Film,
-    catchers: CatcherFilm,
-    exposure: float,
-    # Out:
-    picture_out: wp.array[wp.vec4],
-):
-    """Make the picture of all but the catchers, which are clear."""
-    pixel = wp.tid()
-    inverse = 1.0 / wp.max(film_samples(film, pixel), 1.0)
-    seen = film_mean(film, pixel)
-    lit = catchers.lit[pixel] * inverse
-    light = wp.max(rgb(seen) - rgb(lit) * exposure, wp.vec3(0.0, 0.0, 0.0))
-    picture_out[pixel] = wp.vec4(light[0], light[1], light[2], wp.clamp(seen[3] - lit[3], 0.0, 1.0))
 
 
 @wp.kernel

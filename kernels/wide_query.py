@@ -148,7 +148,7 @@ _TEST_TRIANGLE = """
             turned(as_float(r0.x) - ox, as_float(r0.y) - oy, as_float(r0.z) - oz, px, py, pz);
             turned(as_float(r1.x) - ox, as_float(r1.y) - oy, as_float(r1.z) - oz, qx, qy, qz);
             turned(as_float(r2.x) - ox, as_float(r2.y) - oy, as_float(r2.z) - oz, rx, ry, rz);
-            FACE_TYPE face_word = r0.w;
+            unsigned int face_word = r0.w;
             const unsigned int opacity_word = r1.w, map_word = r2.w;
 #else
             auto corner = [&](unsigned int number, float& a, float& b, float& c) -> unsigned int {
@@ -158,7 +158,7 @@ _TEST_TRIANGLE = """
                 c = as_float(words[axis]) - oc;
                 return words[3];
             };
-            FACE_TYPE face_word = corner(row, px, py, pz);
+            unsigned int face_word = corner(row, px, py, pz);
             const unsigned int opacity_word = corner(row + 1u, qx, qy, qz);
             const unsigned int map_word = corner(row + 2u, rx, ry, rz);
 #endif
@@ -350,7 +350,6 @@ def query_source(
     """
     way = way or Way()
     text = with_blocks(_TRAVERSE, way, tubes=tubes).replace("POSTPONE", postpone.lstrip("\n"))
-    text = text.replace("FACE_TYPE", "unsigned int" if tubes else "const unsigned int")
     text = text.replace("STACK_SIZE", str(MAX_DEPTH + way.entries + waiting))
     text = text.replace("depth < WAITING", f"{way.waiting} < {waiting}")
     return text.replace("FOUND", found).replace("KEY", key) + f"    return {result};\n"

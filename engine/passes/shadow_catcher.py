@@ -154,11 +154,8 @@ class ShadowCatchers:
 
     def resolve(self, film: Film, transparent: bool, exposure: float, picture: wp.array) -> None:
         """Make the picture: vec4 [pixels]."""
-        if self._apart:
-            launch(shadow_catcher.leave_out_caught, len(picture), [film, self._film, exposure], [picture], self.device)
-        else:
-            launch(shadow_catcher.resolve_caught, len(picture), [film, self._film, int(transparent), exposure],
-                   [picture], self.device)
+        launch(shadow_catcher.resolve_caught, len(picture),
+               [film, self._film, int(transparent), int(self._apart), exposure], [picture], self.device)
 
     def shadow(self, film: Film) -> wp.array:
         """Return what is left of light on what lies behind the scene: vec3 [pixels], above 1 where there is more."""

@@ -168,7 +168,6 @@ def test_tubes_are_taken_out(device: str) -> None:
     positions, triangles = tubes()
     pair = Pair(positions, triangles, device)
     owner = np.arange(len(triangles)) // 12 % 3
-    faces = wp.array(np.stack([owner, np.arange(len(triangles))], 1).astype(np.int32), dtype=wp.vec2i, device=device)
     # A tube is of one instance.
     heads = find_tubes(pair.points, pair.indices)
     for head, size in zip(heads.heads, heads.faces, strict=True):
