@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..engine.scene import CameraData
 from ..engine.setting_changes import Change, change_since
 from ..engine.settings import Integrator, RenderSettings
 from .resolution import divided_size
 
-__all__ = ["ViewRequest", "divided_crop", "picture_area", "real_time", "restarts", "step_text"]
+__all__ = ["ViewRequest", "divided_crop", "divided_settings", "picture_area", "real_time", "restarts", "step_text"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +53,14 @@ def divided_crop(crop: tuple[int, int, int, int], divider: int) -> tuple[int, in
     x, y, width, height = crop
     left, bottom = x // divider, y // divider
     return left, bottom, divided_size(x + width, divider) - left, divided_size(y + height, divider) - bottom
+
+
+def divided_settings(settings: RenderSettings, divider: int) -> RenderSettings:
+    """Return the settings of a picture of fewer pixels than the screen: to make up for these would take their time."""
+    if divider == 1:
+        return settings
+    return replace(settings, probes=replace(settings.probes, dense_small=False),
+                   denoiser=replace(settings.denoiser, supersample_small=False))
 
 
 def picture_area(request: ViewRequest, divider: int) -> tuple[float, float, float, float]:

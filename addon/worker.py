@@ -22,7 +22,7 @@ from ..engine.settings import RenderSettings
 from .builds import build_kernels, open_session
 from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
-from .view_request import ViewRequest, divided_crop, picture_area, real_time, restarts, step_text
+from .view_request import ViewRequest, divided_crop, divided_settings, picture_area, real_time, restarts, step_text
 
 __all__ = ["ViewportWorker", "WorkerStatus"]
 
@@ -281,7 +281,8 @@ class ViewportWorker:
         last_level = self._level == len(self._levels) - 1
         session = self._session
         crop = None if request.crop is None else divided_crop(request.crop, divider)
-        session.configure(request.settings, request.camera, divided_size(request.width, divider),
+        settings = divided_settings(request.settings, divider)
+        session.configure(settings, request.camera, divided_size(request.width, divider),
                           divided_size(request.height, divider), crop)
         before, records = session.samples_done, records_of(session)
         pixels = self._pixels(request, divider)

@@ -177,10 +177,6 @@ class Pipeline:
         """Return the newest picture, or the debug view chosen: vec4 [h * w], as the film shows it."""
         return self._picture
 
-    def light_pass(self, name: str) -> wp.array:
-        """Return a light pass, the mean of the frames at rest: vec3 [h * w]."""
-        return self.composite.read_light_pass(name)
-
     def counts(self) -> dict[str, int]:
         """Return what the last frame counted. Waits for the device."""
         counts = {"primary rays": self.gbuffer.width * self.gbuffer.height}

@@ -14,7 +14,7 @@ from ..kernels.hash_grid import SCREEN_LINES
 from ..kernels.probe_types import TILE
 from .settings import ReflectionResolution, RenderSettings
 
-__all__ = ["HALF_RATE_PIXELS", "SMALLEST_PIXELS", "SMALL_PIXELS", "densified", "spreading_rays"]
+__all__ = ["HALF_RATE_PIXELS", "SMALLEST_PIXELS", "SMALL_PIXELS", "densified", "is_small", "spreading_rays"]
 
 HALF_RATE_PIXELS = 1_000_000
 """Pictures of no more have a shadow ray for each pixel in every frame, on any device: they are coarser, and it costs
@@ -28,8 +28,8 @@ SMALLEST_PIXELS = SMALL_PIXELS // 16
 """Pixels of a small picture at least: icons have so few rays in all that finer cells show single ones"""
 
 SPREADING_RAYS = 1 << 17
-"""Bounce rays of a small picture while light spreads, at most: twice as many would make first frames an eighth longer
-and one or two percent better"""
+"""Bounce rays of frames of up to HALF_RATE_PIXELS while light spreads, at most: twice as many would make first frames
+an eighth longer and one or two percent better"""
 
 LEAST_SHRINK = 0.5
 """Width of cells by that in other pictures, at least: then each has as many rays. With fewer, rooms lose light"""
@@ -37,8 +37,15 @@ LEAST_SHRINK = 0.5
 DENSER = {ReflectionResolution.QUARTER: ReflectionResolution.HALF, ReflectionResolution.HALF: ReflectionResolution.FULL}
 
 
-def densified(settings: RenderSettings, width: int, height: int, lines: int, device: str) -> RenderSettings:
-    """Return the settings that a picture's frames are made with: denser ones for a small picture on a GPU.
+def is_small(width: int, height: int) -> bool:
+    """Return whether a picture of a size [px] leaves a GPU idle, and is no icon."""
+    return SMALLEST_PIXELS <= width * height <= SMALL_PIXELS
+
+
+def densified(
+    settings: RenderSettings, width: int, height: int, lines: int, device: str, factor: int = 1,
+) -> RenderSettings:
+    """Return the settings that frames are made with: denser ones for a small picture on a GPU.
 
     Args:
         settings: What the user has chosen.
@@ -46,20 +53,22 @@ def densified(settings: RenderSettings, width: int, height: int, lines: int, dev
         height: Of the rendered region [px].
         lines: Height of the full frame [px].
         device: Where the kernels run.
+        factor: Frames have so many times the width and height of a picture that is small (supersampling.py).
     """
     probes, cache, reflections = settings.probes, settings.cache, settings.reflections
-    if device == "cpu" or not (probes.dense_small and SMALLEST_PIXELS <= width * height <= SMALL_PIXELS):
+    small = is_small(width, height)
+    if device == "cpu" or not (probes.dense_small and (small or factor > 1)):
         return settings
     # Cells are seen smaller by the root of the lines (wanted_size in kernels/hash_grid.py). With as many rays as 1080p
     # frames they can be as small in the scene as there; with four times as many as before, half as wide at least.
     shrink = max(math.sqrt(min(lines / float(SCREEN_LINES), 1.0)), LEAST_SHRINK)
-    return replace(
+    settings = replace(settings, cache=replace(cache, cell_pixels=cache.cell_pixels * shrink))
+    return settings if not small else replace(
         settings,
         probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))),
-        cache=replace(cache, cell_pixels=cache.cell_pixels * shrink),
         reflections=replace(reflections, resolution=DENSER.get(reflections.resolution, reflections.resolution)))
 
 
 def spreading_rays(count: int, width: int, height: int) -> int:
-    """Return how many of `count` hits send a ray on while light spreads, in a picture of a size [px]."""
-    return min(count, SPREADING_RAYS) if width * height <= SMALL_PIXELS else count
+    """Return how many of `count` hits send a ray on while light spreads, in frames of a size [px]."""
+    return min(count, SPREADING_RAYS) if width * height <= HALF_RATE_PIXELS else count

@@ -30,6 +30,7 @@ from .pixel_filter import filter_table
 from .ray_budget import densified
 from .scene import CameraData
 from .settings import FRAME_GROUPS, Integrator, RenderSettings
+from .supersampling import Supersampling
 from .view_data import ViewTracker
 
 __all__ = ["Realtime", "fog_traced", "settings_for"]
@@ -58,6 +59,9 @@ class Realtime:
         self._moved = self._lit = False
         self._blended = False
         self._resolved: wp.array | None = None
+        self._supersampling = Supersampling(device)
+        self._shown: wp.array | None = None
+        """What frames show, at the picture's size"""
 
     def configure(self, settings: RenderSettings, width: int, height: int, lines: int, light_passes: tuple[str, ...],
                   denoised: bool = False) -> None:
@@ -84,10 +88,13 @@ class Realtime:
                 self._forget_samples()
             return
         self._settings, self._size, self._light_passes = settings, size, light_passes
-        self._quantiles = filter_table(settings.film.pixel_filter, settings.film.filter_width)
-        self._filter = wp.array(self._quantiles, dtype=float, device=self.device)
+        film, supersampling = settings.film, self._supersampling
+        self._filter = wp.array(filter_table(film.pixel_filter, film.filter_width), dtype=float, device=self.device)
         self._film = None
-        self.pipeline.configure(densified(settings, *size, self.device), width, height, light_passes)
+        supersampling.configure(settings, width, height)
+        self._quantiles = supersampling.quantiles(film)
+        fine = tuple(supersampling.factor * side for side in size)
+        self.pipeline.configure(densified(settings, *fine, self.device, supersampling.factor), *fine[:2], light_passes)
         self._blend.resize(width, height)
         self.restart()
 
@@ -151,7 +158,7 @@ class Realtime:
         return ahead if ahead >= TURN or traced % TURN else 0
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
-        settings = self._settings
+        settings, camera = self._settings, self._supersampling.camera(camera)
         if self.views.moved_by(camera) > KEYS_REPEAT * smallest_cell(settings.cache, scene.radius):
             self.restart()
         self.views.advance(
@@ -160,8 +167,9 @@ class Realtime:
             filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
         self._moved = self._lit = False
         self.pipeline.frame(scene, self.views, timed=self.timed)
+        self._shown = self._supersampling.average(self.pipeline.picture)
         if self._settings.denoiser.path_traced_rest and self.views.rest > 0:
-            self._blend.add_frame(self.pipeline.gbuffer.current(self.views.parity))
+            self._blend.add_frame(self.pipeline.gbuffer.current(self.views.parity), self._supersampling.factor)
         self.frames += 1
 
     def _trace(
@@ -190,7 +198,7 @@ class Realtime:
             return buffers.picture
         blend = self._newest_blend()
         if blend is None:
-            return self.pipeline.picture
+            return self._shown
         return self._blend.show_weight() if self._settings.debug.view else blend
 
     def samples(self) -> tuple[ReferencePass, FilmBuffers] | None:
@@ -199,18 +207,17 @@ class Realtime:
 
     def light_pass(self, name: str) -> wp.array:
         """Return one of LIGHT_PASSES as the newest picture has it: vec3 [h * w], exposed."""
-        light, blend = self.pipeline.light_pass(name), self._newest_blend()
-        sharp = self.pipeline.composite.accumulated.current(self.views.parity).color
-        shown = self.pipeline.picture if blend is None else blend
-        if name.endswith(" Color") or shown is sharp:
+        composite, average = self.pipeline.composite, self._supersampling.average
+        light, blend = composite.read_light_pass(name, average), self._newest_blend()
+        sharp = composite.accumulated.current(self.views.parity).color
+        if name.endswith(" Color") or (blend is None and self.pipeline.picture is sharp):
             return light
-        return self._blend.scale_light(sharp, shown, light)
+        return self._blend.scale_light(average(sharp), self._shown if blend is None else blend, light)
 
     def _newest_blend(self) -> wp.array | None:
         """Return frames and samples as one picture, made once after each step; None without samples."""
         if self._resolved is None and self._blended and self.reference.samples_done > 0:
-            self._resolved = self._blend.resolve(
-                self._film, self.pipeline.picture, self._settings.film.transparent)
+            self._resolved = self._blend.resolve(self._film, self._shown, self._settings.film.transparent)
         return self._resolved
 
 

@@ -60,6 +60,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no reflection history": {"denoiser.reflection_temporal": False},
     "no clamp of reflections": {"denoiser.reflection_clamp": 0.0},
     "no anti-aliasing": {"denoiser.antialiasing": False},
+    "small pictures not supersampled": {"denoiser.supersample_small": False},
     "no depth of field": {"denoiser.depth_of_field": False},
     "no final gather": {"denoiser.rest_gather": False},
     "preset draft": Preset.DRAFT,

@@ -148,6 +148,7 @@ from ..kernels import (
     shadow_lights,
     shadow_share,
     subsurface_walk,
+    supersampling,
     tracing,
     tree_reinsertion,
     triangle_split,
@@ -167,7 +168,7 @@ from .errors import KernelBuildFailed
 __all__ = ["KERNEL_MODULES", "warm_up"]
 
 KERNEL_MODULES = (
-    fog_blend, fog_cells, fog_composite, fog_rays, fog_samples,
+    fog_blend, fog_cells, fog_composite, fog_rays, fog_samples, supersampling,
     film, display, shadow_catcher, compaction, path_lists, light_split, tracing, flat_tracing, flat_paths, flatten,
     cluster_tree, tree_reinsertion, triangle_split, tube_items, wide_bvh_build, wide_bvh_edit, wide_instances_edit,
     opacity_maps, opacity_answers, decided_instances, decided_layers, clear_tracing, lobe_moments,

@@ -19,6 +19,7 @@ from .film import Film, film_mean, film_samples, mean_square
 from .gbuffer import GBuffer
 from .geometry_math import is_finite3
 from .packing import rgb, unpack_normal
+from .supersampling import first_of_block
 from .view import SKY_DEPTH
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -77,18 +78,26 @@ def add_normals(
     first: int,
     # In:
     gbuffer: GBuffer,
+    width: int,
+    factor: int,
     frames: int,
     # Out:
     normals_out: wp.array[wp.vec3],
 ):
-    """Average the shading normals of jittered frames: short across edges, 0 where nothing is hit."""
+    """Average the shading normals of jittered frames: short across edges, 0 where nothing is hit.
+
+    A pixel has factor x factor of the frame's (supersampling.py); `width` is the picture's [px].
+    """
     pixel = first + wp.tid()
     mean = wp.vec3(0.0, 0.0, 0.0)
     if frames > 0:
         mean = normals_out[pixel]
     normal = wp.vec3(0.0, 0.0, 0.0)
-    if gbuffer.depth[pixel] < SKY_DEPTH:
-        normal = unpack_normal(gbuffer.normal[pixel])
+    start = first_of_block(pixel, width, factor)
+    for k in range(factor * factor):
+        sample = start + k // factor * factor * width + k % factor
+        if gbuffer.depth[sample] < SKY_DEPTH:
+            normal += unpack_normal(gbuffer.normal[sample]) / float(factor * factor)
     normals_out[pixel] = mean + (normal - mean) / float(frames + 1)
 
 

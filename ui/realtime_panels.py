@@ -142,6 +142,9 @@ class BURNISH_RENDER_PT_denoiser(RealtimePanel, Panel):
         column.prop(denoiser, "diffuse_history", text="History")
         layout.prop(denoiser, "rest_gather", text="Gather at Rest")
         layout.prop(denoiser, "antialiasing", text="Anti-Aliasing")
+        row = layout.row()
+        row.active = denoiser.antialiasing
+        row.prop(denoiser, "supersample_small", text="Supersample Small Pictures")
         layout.prop(denoiser, "depth_of_field", text="Depth of Field")
 
 

@@ -179,8 +179,10 @@ class CompositePass:
             return
         graph.launch(composite_debug.show_light, count, [*self._inputs[parity], int(DEBUG_LIGHT[name])], [picture])
 
-    def read_light_pass(self, name: str) -> wp.array:
+    def read_light_pass(self, name: str, average: Callable[[wp.array], wp.array] = lambda sums: sums) -> wp.array:
         """Return one of LIGHT_PASSES, the mean of the frames since the picture came to rest: vec3 [h * w], exposed.
+
+        `average`: makes sums over the picture's pixels of those over a frame's (supersampling.py).
 
         Raises:
             KeyError: No such pass, or the light passes were not asked for.
@@ -188,9 +190,11 @@ class CompositePass:
         lobe, _, part = name.partition(" ")
         if name not in LIGHT_PASSES or lobe not in self._sums:
             raise KeyError(name)
-        count = self.width * self.height
+        kept, sums = self._sums[lobe], LightPasses()
+        sums.direct, sums.indirect, sums.albedo = average(kept.direct), average(kept.indirect), average(kept.albedo)
+        count = len(sums.direct)
         pictures = [wp.empty(count, dtype=wp.vec3, device=self.device) for _ in PASS_PARTS]
-        launch(composite.resolve_light_passes, count, [0, self._sums[lobe]], pictures, self.device)
+        launch(composite.resolve_light_passes, count, [0, sums], pictures, self.device)
         return pictures[PASS_PARTS.index(part)]
 
 

@@ -64,12 +64,12 @@ class RestBlend:
         self._ratio = wp.zeros(count, dtype=wp.vec2, device=self.device)
         self._ready = True
 
-    def add_frame(self, gbuffer: GBuffer) -> None:
-        """Take in the surfaces of a frame at rest."""
+    def add_frame(self, gbuffer: GBuffer, factor: int = 1) -> None:
+        """Take in the surfaces of a frame at rest that has `factor` times the picture's width and height."""
         if not self._ready:
             self._allocate()
-        launch(rest_blend.add_normals, self.width * self.height, [0, gbuffer, self._frames], [self._normals],
-               self.device)
+        launch(rest_blend.add_normals, self.width * self.height, [0, gbuffer, self.width, factor, self._frames],
+               [self._normals], self.device)
         self._frames += 1
 
     def resolve(self, film_buffers: FilmBuffers, f_picture: wp.array, transparent: bool = True,

@@ -103,7 +103,8 @@ def recipe_settings(recipe: str, options: argparse.Namespace, groups: Groups | N
     Figures are small, and show as many rays a pixel as large pictures have.
     """
     settings = apply_preset(settings_for("realtime", options.device), RECIPES[recipe])
-    for name, fields in merged(FILTERED, {"probes": {"dense_small": False}}, groups).items():
+    plain = {"probes": {"dense_small": False}, "denoiser": {"supersample_small": False}}
+    for name, fields in merged(FILTERED, plain, groups).items():
         values = {key: ReflectionResolution(value) if key == "resolution" else value for key, value in fields.items()}
         settings = dataclasses.replace(settings, **{name: dataclasses.replace(getattr(settings, name), **values)})
     return settings

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from burnish.addon.picture import pack_colors
-from burnish.addon.view_request import ViewRequest, divided_crop, picture_area, restarts
+from burnish.addon.view_request import ViewRequest, divided_crop, divided_settings, picture_area, restarts
 from burnish.addon.worker import ViewportWorker
 from burnish.engine.errors import DeviceUnavailable
 from burnish.engine.scene import CameraData, CameraKind, SceneDelta
@@ -309,6 +309,15 @@ def test_divided_crop_covers():
         assert x * divider <= 5 and (x + width) * divider >= 36
         assert y * divider <= 7 and (y + height) * divider >= 8
     assert picture_area(request(), 4) == (0.0, 0.0, 1.0, 1.0)
+
+
+def test_coarse_pictures_are_plain():
+    """Spend nothing on more rays and pixels where there are to be fewer, and change nothing at the full size."""
+    settings = request().settings
+    assert divided_settings(settings, 1) is settings
+    coarse = divided_settings(settings, 2)
+    assert not coarse.probes.dense_small and not coarse.denoiser.supersample_small
+    assert dataclasses.replace(coarse, probes=settings.probes, denoiser=settings.denoiser) == settings
 
 
 def test_restarts_follow_the_settings():

@@ -47,6 +47,10 @@ def test_small_pictures_have_the_cells_of_large_ones() -> None:
         assert on_screen / lines == pytest.approx(DEFAULTS.cache.cell_pixels / 1080)
     # Four times the rays are enough for cells half as wide.
     assert densified(DEFAULTS, 240, 135, 135, "cuda:0").cache.cell_pixels == DEFAULTS.cache.cell_pixels / 2
+    # So have frames of twice the size of a small picture, which have as many rays already.
+    doubled = densified(DEFAULTS, 1280, 720, 720, "cuda:0", 2)
+    assert doubled.cache.cell_pixels == pytest.approx(DEFAULTS.cache.cell_pixels * (720 / 1080) ** 0.5)
+    assert (doubled.probes, doubled.reflections) == (DEFAULTS.probes, DEFAULTS.reflections)
     # A region of a large frame has the cells of the whole.
     assert densified(DEFAULTS, 640, 360, 2160, "cuda:0").cache == DEFAULTS.cache
 
@@ -77,6 +81,8 @@ def test_bounce_rays_of_small_pictures_have_a_limit() -> None:
     assert spreading_rays(230_400, 640, 360) == 1 << 17
     assert spreading_rays(522_240, 1920, 1080) == 522_240
     assert spreading_rays(600_000, SMALL_PIXELS, 1) == 1 << 17
+    # Those of small pictures on a GPU, which are drawn at twice the size.
+    assert spreading_rays(230_400, 2 * 640, 2 * 360) == 1 << 17
 
 
 def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,7 +94,7 @@ def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = scenes.camera_above(3.0, 1.0, orthographic=False)
     counts, means = [], []
     for where in ("cpu", "cuda:0"):
-        monkeypatch.setattr(realtime, "densified", lambda *given, where=where: densified(*given[:-1], where))
+        monkeypatch.setattr(realtime, "densified", lambda *given, where=where: densified(*given[:4], where))
         session = Session(FRAMES)
         session.update(scenes.delta(meshes, objects, {"white": floor}, lamps, 0.2))
         session.configure(FRAMES, camera, 240, 136)
