@@ -50,6 +50,7 @@ render: setup
 
 # A process that crashes ends the run: what it still had to do would otherwise be waited for without end.
 test: setup
+	@.venv/bin/burnish warmup --device cpu
 	@$(PYTEST) -q -m "not slow and not window" -n $(JOBS) --dist loadfile --max-worker-restart 0 $(TESTS)
 
 slow: setup

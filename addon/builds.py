@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
-from ..engine.settings import Device, RenderSettings
+from ..engine.settings import Device, Integrator, RenderSettings
 
-__all__ = ["build_kernels", "built", "open_session"]
+__all__ = ["build_kernels", "build_rest", "open_session", "telling_builds"]
 
 _lock = threading.Lock()
-_built: set[str] = set()
 _text = "Building kernels"
 
 LOCK_POLL_SECONDS = 0.1
@@ -29,20 +29,16 @@ def open_session(settings: RenderSettings) -> Any:
     return Session(settings)
 
 
-def built(device: Device) -> bool:
-    """Tell whether the kernels for `device` were built in this process."""
-    return str(device) in _built
-
-
 def build_kernels(device: Device, progress: Callable[[str, float], None],
-                  should_stop: Callable[[], bool] = lambda: False) -> None:
-    """Build all kernel modules for `device`, or wait until another thread has.
+                  should_stop: Callable[[], bool] = lambda: False, integrator: Integrator | None = None) -> None:
+    """Build kernel modules for `device`, or wait until another thread has.
 
     Args:
         device: Where the kernels will run.
         progress: Called with a text ("Building kernels 3/9 (name)") and a fraction; what it raises ends the build
             between two modules.
         should_stop: Ends the waiting for another thread's build when it returns True.
+        integrator: Those alone that most of its pictures need, where that is possible; None: all.
 
     Raises:
         DeviceUnavailable: There is no such device.
@@ -53,14 +49,26 @@ def build_kernels(device: Device, progress: Callable[[str, float], None],
         if should_stop():
             return
     try:
-        if str(device) not in _built:
-            _build(device, progress)
-            _built.add(str(device))
+        _build(device, progress, integrator)
     finally:
         _lock.release()
 
 
-def _build(device: Device, progress: Callable[[str, float], None]) -> None:
+def build_rest(device: str) -> None:
+    """Begin to build what build_kernels has left out for a device (Warp's name), in the background."""
+    from ..engine import warmup
+
+    warmup.build_rest(device)
+
+
+def telling_builds(progress: Callable[[str, float], None]) -> AbstractContextManager[None]:
+    """Tell of kernels that are built because the calling thread needs them, within a block."""
+    from ..engine.device import hear_of_builds
+
+    return hear_of_builds(lambda name: progress(f"Building kernels ({name})", 0.0))
+
+
+def _build(device: Device, progress: Callable[[str, float], None], integrator: Integrator | None) -> None:
     from ..engine.device import choose_device
     from ..engine.warmup import warm_up
 
@@ -70,4 +78,4 @@ def _build(device: Device, progress: Callable[[str, float], None]) -> None:
         progress(_text, done / max(count, 1))
 
     progress("Building kernels", 0.0)
-    warm_up(choose_device(device), tell)
+    warm_up(choose_device(device), tell, integrator)

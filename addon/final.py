@@ -94,11 +94,13 @@ def render(engine: Any, depsgraph: Any) -> None:
 
 def with_session(engine: Any, depsgraph: Any, job: FinalRender) -> None:
     """Build the kernels, run `job` in a session, and close that whatever happens, unless Blender wants it kept."""
-    build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break)
+    build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break,
+                  integrator=job.settings.sampling.integrator)
     session, extractor = take_kept(engine, job.settings) or (open_session(job.settings), SceneExtractor())
     keep = False
     try:
-        job.run(session, extractor, depsgraph)
+        with builds.telling_builds(job.progress.stage):
+            job.run(session, extractor, depsgraph)
         keep = job.scene.render.use_persistent_data
     finally:
         report.publish("Render", merged(session.report, job.report), report.session_details(session))

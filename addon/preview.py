@@ -36,7 +36,8 @@ def render(engine: Any, depsgraph: Any) -> None:
         return
     try:
         job = final.FinalRender(engine, depsgraph, overrides=with_preview_budget)
-        final.build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break)
+        final.build_kernels(job.settings.device, job.progress.stage, should_stop=engine.test_break,
+                            integrator=job.settings.sampling.integrator)
         session = final.open_session(job.settings)
         try:
             job.run(session, SceneExtractor(), depsgraph)

@@ -19,7 +19,7 @@ from ..engine.errors import BurnishError
 from ..engine.report import Report
 from ..engine.scene import SceneDelta
 from ..engine.settings import RenderSettings
-from .builds import build_kernels, open_session
+from .builds import build_kernels, build_rest, open_session, telling_builds
 from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
 from .view_request import ViewRequest, divided_crop, divided_settings, picture_area, real_time, restarts, step_text
@@ -66,9 +66,10 @@ class ViewportWorker:
     """One thread and one Session. All public methods are for the main thread and return at once."""
 
     def __init__(self, session_factory: Callable[[RenderSettings], Any] = open_session,
-                 build: Callable[..., None] = build_kernels) -> None:
+                 build: Callable[..., None] = build_kernels,
+                 build_others: Callable[[str], None] = build_rest) -> None:
         self._session_factory = session_factory
-        self._build = build
+        self._build, self._build_others = build, build_others
         self._wakeup = threading.Condition()
         self._deltas: list[SceneDelta] = []
         self._request: ViewRequest | None = None
@@ -170,8 +171,9 @@ class ViewportWorker:
 
     def _run(self) -> None:
         try:
-            while self._wait():
-                self._serve()
+            with telling_builds(self._show_progress):
+                while self._wait():
+                    self._serve()
         except BurnishError as error:
             self._fail(str(error))
         except Exception as error:
@@ -231,7 +233,8 @@ class ViewportWorker:
         self._render(request)
 
     def _open(self, settings: RenderSettings) -> None:
-        self._build(settings.device, self._show_progress, should_stop=lambda: self._stopping)
+        self._build(settings.device, self._show_progress, should_stop=lambda: self._stopping,
+                    integrator=settings.sampling.integrator)
         self._session = self._session_factory(settings)
         self.device = getattr(self._session, "device", "")
         if hasattr(self._session, "resolve"):
@@ -307,6 +310,9 @@ class ViewportWorker:
         shown = SHOWN_FRAMES if real_time(request) else 2
         if not last_level or done <= shown or finished or self._publishing_pays():
             self._publish(request, divider, done)
+        if last_level:
+            # An edit may need any of them; the first picture came first.
+            self._build_others(self.device)
         self._publish_status(text=step_text(request, done), progress=0.0, stats=session.stats,
                              report=copy_report(session.report), **frame_figures(session, timed))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -25,9 +25,10 @@ from .kernel_cache import chosen_folder
 from .settings import Device
 
 __all__ = [
-    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "host_array", "is_loaded",
-    "kernel_cache_folder", "launch", "launch_bands", "load_module", "run_bands", "start_warp", "thread_count",
-    "use_threads",
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "host_array", "hear_of_builds",
+    "is_loaded",
+    "kernel_cache_folder", "launch", "launch_bands", "load_module", "loaded_modules", "run_bands", "start_warp",
+    "thread_count", "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -54,13 +55,18 @@ BLOCK_SIZES = dict.fromkeys(
     PATH_BLOCK)
 DEFAULT_BLOCK = 256
 
+SIDE_BY_SIDE = (1, 19)
+"""Version of Warp from which modules are known to build side by side for a processor"""
+
 BAND = 4096
 """Elements for which another thread is worth its start"""
 
 _start_lock = threading.Lock()
 _started = False
-_load_lock = threading.RLock()
 _loaded: set[tuple[str, str]] = set()
+_load_locks: defaultdict[tuple[str, str], threading.Lock] = defaultdict(threading.Lock)
+_first_load = threading.Lock()
+_listeners = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _threads = 0
 
@@ -237,16 +243,50 @@ def host_array(values: np.ndarray, dtype: type) -> wp.array:
 
 
 def load_module(name: str, device: str) -> bool:
-    """Build or load a kernel module for a device, on the CPU one at a time: concurrent first loads race in Warp there.
+    """Build or load a kernel module for a device, once: threads that did it at the same time would unload each other's.
+
+    Different modules are built side by side, but for the first one on a processor, with which Warp makes its linker,
+    and others there with older Warps.
 
     Returns:
         Whether it could be built. Raises what Warp does.
     """
-    with _load_lock if device == "cpu" else contextlib.nullcontext():
-        loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device)) is not None
-        if loaded:
-            _loaded.add((name, device))
+    key = name, device
+    hear = getattr(_listeners, "hear", None)
+    if hear is not None and key not in _loaded:
+        hear(name.rpartition(".")[2])
+    with _load_locks[key]:
+        if key in _loaded:
+            return True
+        alone = device == "cpu" and not (loaded_modules(device) and SIDE_BY_SIDE <= _warp_version())
+        with _first_load if alone else contextlib.nullcontext():
+            loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device)) is not None
+            if loaded:
+                _loaded.add(key)
     return loaded
+
+
+def _warp_version() -> tuple[int, ...]:
+    return tuple(int(part) for part in wp.config.version.split(".")[:2])
+
+
+@contextlib.contextmanager
+def hear_of_builds(hear: Callable[[str], None]) -> Iterator[None]:
+    """Call `hear` with the name of each kernel module for which the calling thread has to wait within the block.
+
+    What it raises ends what needs the module.
+    """
+    outer = getattr(_listeners, "hear", None)
+    _listeners.hear = hear
+    try:
+        yield
+    finally:
+        _listeners.hear = outer
+
+
+def loaded_modules(device: str) -> set[str]:
+    """Return the names of the kernel modules that are loaded for a device."""
+    return {name for name, where in tuple(_loaded) if where == device}
 
 
 def is_loaded(kernel: wp.Kernel, device: str) -> bool:
@@ -255,11 +295,10 @@ def is_loaded(kernel: wp.Kernel, device: str) -> bool:
 
 
 def _load(kernel: wp.Kernel, device: str) -> None:
-    """Load a kernel's module, once: threads that do it at the same time would unload each other's."""
+    """Load a kernel's module unless it is."""
     key = kernel.module.name, device
     if key not in _loaded:
-        with _load_lock:
-            load_module(*key)
+        load_module(*key)
 
 
 def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:

@@ -32,6 +32,7 @@ from .scene import CameraData
 from .settings import FRAME_GROUPS, Integrator, RenderSettings
 from .supersampling import Supersampling
 from .view_data import ViewTracker
+from .warmup import warm_up
 
 __all__ = ["Realtime", "fog_traced", "settings_for"]
 
@@ -45,6 +46,7 @@ class Realtime:
     """Pipeline, view and rest regime for one picture size."""
 
     def __init__(self, device: str):
+        warm_up(device, integrator=Integrator.REALTIME)
         self.device = device
         self.views = ViewTracker(device)
         self.pipeline = Pipeline(device)

@@ -74,7 +74,7 @@ class Session:
         self.settings = settings
         self.device = choose_device(settings.device)
         self.device_name = device_info(self.device).name
-        warm_up(self.device)
+        warm_up(self.device, integrator=settings.sampling.integrator)
         self.stats = SessionStats()
         self._scene = DeviceScene(self.device)
         self._pass = ReferencePass(self.device)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Building all kernel modules, with progress. Warp keeps the results on disk; a second start only loads them."""
+"""Building kernel modules, with progress. Warp keeps the results on disk; a second start only loads them."""
 
 from __future__ import annotations
 
+import atexit
+import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from types import ModuleType
 
 from ..kernels import (
     antialias,
@@ -162,10 +165,13 @@ from ..kernels import (
     wide_instances_edit,
     world_split,
 )
-from .device import load_module, start_warp, thread_count
+from .device import load_module, loaded_modules, start_warp, thread_count
 from .errors import KernelBuildFailed
+from .settings import Integrator
 
-__all__ = ["KERNEL_MODULES", "warm_up"]
+__all__ = ["FIRST_MODULES", "KERNEL_MODULES", "build_rest", "warm_up"]
+
+log = logging.getLogger(__name__)
 
 KERNEL_MODULES = (
     fog_blend, fog_cells, fog_composite, fog_rays, fog_samples, supersampling,
@@ -200,16 +206,47 @@ HOST_MODULES = (mesh_checks, mesh_islands, mip_levels)
 SHARED_MODULES = (cluster_tree, tree_reinsertion)
 """Modules that the processor runs as well where it isn't the device"""
 
+EVERY_PICTURE = (
+    tube_items, triangle_split, cluster_tree, tree_reinsertion, wide_bvh_build, flatten, tracing, flat_paths, misses,
+    path_lists, film, display, materials, reference, shadow_lights, reference_lean, reference_plain, mesh_checks,
+    mip_levels,
+)
+"""What most scenes need before they are path-traced, as real-time frames are at rest"""
+
+EVERY_FRAME = (
+    antialias, cache_cells, cache_rays, cache_lights, cache_shade, cache_spread, composite, diffuse_blur,
+    diffuse_temporal, direct_atrous, direct_change, direct_emitters, direct_shadow, direct_temporal, flat_tracing,
+    gather_blend, gather_temporal, gbuffer_rays, lobe_moments, probe_blend, probe_gather, probe_interpolate,
+    probe_light, probe_map, probe_place, probe_records, probe_sample, probe_spawn, reproject, rest_blend, world_split,
+    direct_candidates, direct_shade, cache_lean, cache_materials, gbuffer_lean, gbuffer_materials, gather_start,
+    gather_further, reflection_atrous, reflection_blocks, reflection_choice, reflection_choice_glossy,
+    reflection_cleanup, reflection_lamps, reflection_lean, reflection_materials, reflection_place, reflection_probes,
+    reflection_resolve, reflection_resolve_glossy, reflection_screen, reflection_start, reflection_tail,
+    reflection_temporal, reflection_upscale,
+)
+"""What most scenes need besides in real-time frames on a processor"""
+
+FIRST_MODULES = {Integrator.REFERENCE: EVERY_PICTURE, Integrator.REALTIME: EVERY_PICTURE + EVERY_FRAME}
+"""What is built on a processor before the first picture. Others are built when something needs them, or meanwhile"""
+
+BUILDERS = 16
+"""Modules that are built at once, at most: each takes some hundred megabytes"""
+
 _lock = threading.Lock()
-_ready: set[str] = set()
+_stopping = threading.Event()
+_rest: threading.Thread | None = None
 
 
-def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None) -> float:
-    """Build or load every kernel module for a device and return the seconds that it took.
+def warm_up(
+    device: str, progress: Callable[[str, int, int], None] | None = None, integrator: Integrator | None = None,
+) -> float:
+    """Build or load kernel modules for a device, on all cores, and return the seconds that it took.
 
     Args:
         device: `cpu` or `cuda:N`.
-        progress: Called before each module with its name, its number from 1 and how many there are.
+        progress: Called before each module with its name, its number from 1 and how many there are; what it raises
+            ends the build.
+        integrator: On a processor only what most of its pictures need; None, and on other devices: every module.
 
     Raises:
         KernelBuildFailed: A module can't be compiled or loaded.
@@ -217,26 +254,65 @@ def warm_up(device: str, progress: Callable[[str, int, int], None] | None = None
     start_warp()
     start = time.perf_counter()
     with _lock:
-        if device in _ready:
+        wanted = _missing(device, FIRST_MODULES.get(integrator) if device == "cpu" else None)
+        if not wanted:
             return 0.0
-        names, own = ([module.__name__ for module in modules] for modules in (KERNEL_MODULES, HOST_MODULES))
-        if device == "cpu":
-            names, own = [], names + own
-        else:
-            own += [module.__name__ for module in SHARED_MODULES]
-        count = len(names) + len(own)
-        with ThreadPoolExecutor(thread_count()) as pool:
+        # The first one for a processor has to be alone; it is a short one.
+        alone = int(device == "cpu" and not loaded_modules(device))
+        _tell(progress, wanted[0][0], 1, len(wanted))
+        for module in wanted[:alone]:
+            _load(*module)
+        with ThreadPoolExecutor(min(thread_count(), BUILDERS)) as pool:
             # The longest first: none is left for the end then, when threads have nothing else to do.
-            loads = {pool.submit(_load, name, device): name for name in reversed(names)}
-            _tell(progress, (names or own)[-1], 1, count)
-            for number, load in enumerate(as_completed(loads), 1):
-                _tell(progress, loads[load], number, count)
-                load.result()
-        for number, name in enumerate(own, len(names) + 1):
-            _tell(progress, name, number, count)
-            _load(name, "cpu")
-        _ready.add(device)
+            loads = {pool.submit(_load, *module): module[0] for module in reversed(wanted[alone:])}
+            try:
+                for number, load in enumerate(as_completed(loads), 1 + alone):
+                    _tell(progress, loads[load], number, len(wanted))
+                    load.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     return time.perf_counter() - start
+
+
+def build_rest(device: str) -> None:
+    """Begin to build all other modules for a processor, one after the other in a thread: an edit may need any of them.
+
+    Does nothing on other devices, which have them all.
+    """
+    global _rest
+    with _lock:
+        if device != "cpu" or _rest is not None or not _missing(device, None):
+            return
+        _rest = threading.Thread(target=_build_rest, args=(device,), name="burnish kernels", daemon=True)
+        atexit.register(_stop)
+        _rest.start()
+
+
+def _build_rest(device: str) -> None:
+    for name, where in _missing(device, None):
+        if _stopping.is_set():
+            break
+        try:
+            _load(name, where)
+        except KernelBuildFailed:
+            # Whatever needs it will tell.
+            log.exception("Kernels could not be built ahead of time")
+
+
+def _stop() -> None:
+    """Let no compiler run while the process ends."""
+    _stopping.set()
+    _rest.join()
+
+
+def _missing(device: str, modules: Sequence[ModuleType] | None) -> list[tuple[str, str]]:
+    """Return names and devices of modules that are not loaded, the quickest to build first; None: of all."""
+    beside = HOST_MODULES if device == "cpu" else HOST_MODULES + SHARED_MODULES
+    wanted = [(module, "cpu") for module in beside] + [(module, device) for module in KERNEL_MODULES]
+    loaded = {where: loaded_modules(where) for where in ("cpu", device)}
+    return [(module.__name__, where) for module, where in wanted
+            if (modules is None or module in modules) and module.__name__ not in loaded[where]]
 
 
 def _tell(progress: Callable[[str, int, int], None] | None, name: str, number: int, count: int) -> None:

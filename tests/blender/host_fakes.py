@@ -143,7 +143,7 @@ class FakeExtractor:
         return delta
 
 
-def no_build(device, progress, should_stop=lambda: False):
+def no_build(device, progress, should_stop=lambda: False, integrator=None):
     """Stand in for building kernels."""
     progress("Building kernels 1/1", 1.0)
 

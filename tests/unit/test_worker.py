@@ -62,7 +62,7 @@ def make_worker():
     fakes.FakeSession.opened.clear()
 
     def make(factory=fakes.FakeSession):
-        worker = ViewportWorker(factory, fakes.no_build)
+        worker = ViewportWorker(factory, fakes.no_build, lambda device: None)
         workers.append(worker)
         worker.start()
         return worker
