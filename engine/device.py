@@ -25,10 +25,9 @@ from .kernel_cache import chosen_folder
 from .settings import Device
 
 __all__ = [
-    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "host_array", "hear_of_builds",
-    "is_loaded",
-    "kernel_cache_folder", "launch", "launch_bands", "load_module", "loaded_modules", "run_bands", "start_warp",
-    "thread_count", "use_threads",
+    "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "hear_of_build", "hear_of_builds",
+    "host_array", "is_loaded", "kernel_cache_folder", "launch", "launch_bands", "load_module", "loaded_modules",
+    "run_bands", "start_warp", "thread_count", "use_threads",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -252,9 +251,8 @@ def load_module(name: str, device: str) -> bool:
         Whether it could be built. Raises what Warp does.
     """
     key = name, device
-    hear = getattr(_listeners, "hear", None)
-    if hear is not None and key not in _loaded:
-        hear(name.rpartition(".")[2])
+    if key not in _loaded:
+        hear_of_build(name.rpartition(".")[2])
     with _load_locks[key]:
         if key in _loaded:
             return True
@@ -282,6 +280,13 @@ def hear_of_builds(hear: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         _listeners.hear = outer
+
+
+def hear_of_build(name: str) -> None:
+    """Tell who listens in the calling thread, if anyone does, of kernels that it waits for."""
+    hear = getattr(_listeners, "hear", None)
+    if hear is not None:
+        hear(name)
 
 
 def loaded_modules(device: str) -> set[str]:

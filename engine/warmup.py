@@ -165,7 +165,7 @@ from ..kernels import (
     wide_instances_edit,
     world_split,
 )
-from .device import load_module, loaded_modules, start_warp, thread_count
+from .device import hear_of_build, load_module, loaded_modules, start_warp, thread_count
 from .errors import KernelBuildFailed
 from .settings import Integrator
 
@@ -233,6 +233,7 @@ BUILDERS = 16
 """Modules that are built at once, at most: each takes some hundred megabytes"""
 
 _lock = threading.Lock()
+_rest_lock = threading.Lock()
 _stopping = threading.Event()
 _rest: threading.Thread | None = None
 
@@ -245,7 +246,7 @@ def warm_up(
     Args:
         device: `cpu` or `cuda:N`.
         progress: Called before each module with its name, its number from 1 and how many there are; what it raises
-            ends the build.
+            ends the build. None: who listens in the calling thread (device.hear_of_builds) is told.
         integrator: On a processor only what most of its pictures need; None, and on other devices: every module.
 
     Raises:
@@ -253,8 +254,12 @@ def warm_up(
     """
     start_warp()
     start = time.perf_counter()
+    modules = FIRST_MODULES.get(integrator) if device == "cpu" else None
+    # Who lacks nothing does not wait for what another thread builds.
+    if not _missing(device, modules):
+        return 0.0
     with _lock:
-        wanted = _missing(device, FIRST_MODULES.get(integrator) if device == "cpu" else None)
+        wanted = _missing(device, modules)
         if not wanted:
             return 0.0
         # The first one for a processor has to be alone; it is a short one.
@@ -281,12 +286,13 @@ def build_rest(device: str) -> None:
     Does nothing on other devices, which have them all.
     """
     global _rest
-    with _lock:
-        if device != "cpu" or _rest is not None or not _missing(device, None):
-            return
-        _rest = threading.Thread(target=_build_rest, args=(device,), name="burnish kernels", daemon=True)
-        atexit.register(_stop)
-        _rest.start()
+    if device != "cpu" or _rest is not None:
+        return
+    with _rest_lock:
+        if _rest is None:
+            _rest = threading.Thread(target=_build_rest, args=(device,), name="burnish kernels", daemon=True)
+            atexit.register(_stop)
+            _rest.start()
 
 
 def _build_rest(device: str) -> None:
@@ -316,8 +322,11 @@ def _missing(device: str, modules: Sequence[ModuleType] | None) -> list[tuple[st
 
 
 def _tell(progress: Callable[[str, int, int], None] | None, name: str, number: int, count: int) -> None:
+    title = name.rpartition(".")[2]
     if progress is not None:
-        progress(name.rpartition(".")[2], number, count)
+        progress(title, number, count)
+    else:
+        hear_of_build(title)
 
 
 def _load(name: str, device: str) -> None:

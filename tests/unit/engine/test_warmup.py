@@ -86,6 +86,16 @@ def test_the_processor_has_its_own(
     assert warm_up(device, None, integrator) == 0.0
 
 
+def test_who_listens_is_told(fresh: set[tuple[str, str]]) -> None:
+    """Tell the thread's own listener of modules where nobody else is told, and only who has to wait."""
+    heard: list[str] = []
+    with hear_of_builds(heard.append):
+        warm_up("cpu", None, Integrator.REFERENCE)
+        assert set(heard) == {module.__name__.rpartition(".")[2] for module in FIRST_MODULES[Integrator.REFERENCE]}
+        with warmup._lock:  # as while another thread builds
+            assert warm_up("cpu", None, Integrator.REFERENCE) == 0.0
+
+
 @pytest.mark.parametrize("integrator", [Integrator.REFERENCE, Integrator.REALTIME])
 def test_a_plain_scene_waits_for_no_other_kernels(integrator: Integrator, run_python) -> None:
     """Find all that a floor, a box and a lamp need among what is built first, and hardly anything else in it."""
