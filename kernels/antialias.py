@@ -21,7 +21,7 @@ from .long_mean import only_camera_moved
 from .packed_halves import unpack_halves
 from .reflection_sources import DISTANCE_ROUGHNESS
 from .reflection_temporal import RENEWED_LENGTH
-from .view import MOVED_FRAMES, View, settled_length
+from .view import MOVED_FRAMES, View, picture_limit
 from .wide_loads import load_vec4, load_view
 from .wide_stores import store_vec4
 
@@ -35,9 +35,6 @@ MOTION_SAMPLES = wp.constant(9.0)
 
 # ... and once it comes to rest: what motion left fades, but noise grows by a quarter at most.
 FIRST_REST_SAMPLES = wp.constant(4.0)
-
-# Frames after an edit of lights during which the history weighs at most half.
-LIGHT_EDIT_FRAMES = wp.constant(12)
 
 # Half the size of the box around the neighbourhood's mean, in standard deviations: while things move, and while the
 # camera alone does, when what the history shows has only been seen from elsewhere.
@@ -279,15 +276,6 @@ def clamp_color(c: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def history_limit(view: View) -> float:
-    """Return as how many frames the history may count, for how long light has been spreading."""
-    limit = wp.min(float(SAMPLES_MAX), settled_length(view))
-    if view.light_age < LIGHT_EDIT_FRAMES:
-        limit = wp.min(limit, 1.0)
-    return limit
-
-
-@wp.func
 def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int) -> float:
     """Return as how many frames the history may count by what a mirror shows: few where that is something new.
 
@@ -336,7 +324,7 @@ def antialias(
             samples = float(previous.samples[pixel])
             if view.rest == 1:
                 samples = wp.min(samples, FIRST_REST_SAMPLES)
-            samples = wp.min(samples, history_limit(view))
+            samples = wp.min(samples, picture_limit(view))
             mean = load_vec4(previous.color, pixel)
             mean += (current - mean) / (samples + 1.0)
         else:
@@ -353,7 +341,7 @@ def antialias(
                 mean = filter_frame(color, view.jitter, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
-                samples = wp.min(float(previous.samples[old]), history_limit(view))
+                samples = wp.min(float(previous.samples[old]), picture_limit(view))
                 samples = wp.min(samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel))
                 history = clamp_color(rectify(
                     clamp_color(resample(previous.color, p, width, height)), n,

@@ -10,7 +10,7 @@ from .geometry_math import is_finite3, max_component, over_albedo
 from .long_mean import pack_mean, unpack_mean
 from .packing import HALF_MAX, from_half, rgb, rgba, to_half, unpack_normal
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, is_sampled, sampled_share, through_albedo
-from .view import SKY_DEPTH, View
+from .view import SKY_DEPTH, View, picture_limit
 from .wide_loads import load_vec4h
 from .wide_stores import store_vec4h
 
@@ -223,7 +223,10 @@ def accumulate_light_passes(
     # Out:
     passes_out: LightPasses,
 ):
-    """Add this frame's light of one lobe (PASS_*) to the sums; while something moves they hold this frame alone."""
+    """Add this frame's light of one lobe (PASS_*) to the sums; while something moves they hold this frame alone.
+
+    Frames before count as much as in the picture (antialias.antialias), so that the passes make it up.
+    """
     pixel = first + wp.tid()
     s = light_shares(gbuffer, lights, pixel)
     direct = s.diffuse_direct
@@ -238,10 +241,13 @@ def accumulate_light_passes(
         indirect = s.transmitted
         albedo = s.transmitted_albedo
     sum = rgba(albedo, 1.0)
-    if views[0].rest > 0:
-        direct += passes_out.direct[pixel]
-        indirect += passes_out.indirect[pixel]
-        sum += passes_out.albedo[pixel]
+    view = views[0]
+    if view.rest > 0:
+        before = passes_out.albedo[pixel]
+        share = wp.min(picture_limit(view) / wp.max(before[3], 1.0), 1.0)
+        direct += share * passes_out.direct[pixel]
+        indirect += share * passes_out.indirect[pixel]
+        sum += share * before
     passes_out.direct[pixel] = direct
     passes_out.indirect[pixel] = indirect
     passes_out.albedo[pixel] = sum

@@ -148,9 +148,21 @@ def settling_frames(view: View) -> float:
 SETTLING_SHARE = wp.constant(0.3)
 SETTLED_FRAMES = wp.constant(64.0)
 
+# Frames after an edit of lights during which a picture's history weighs at most half.
+LIGHT_EDIT_FRAMES = wp.constant(12)
+
 
 @wp.func
 def settled_length(view: View) -> float:
     """Return the most frames that a mean may hold: those that came before light had spread are left behind."""
     settling = settling_frames(view)
     return wp.max(SETTLING_SHARE * settling, settling - SETTLED_FRAMES)
+
+
+@wp.func
+def picture_limit(view: View) -> float:
+    """Return as how many frames the mean of pictures before may count, for how long light has been spreading."""
+    limit = settled_length(view)
+    if view.light_age < LIGHT_EDIT_FRAMES:
+        limit = wp.min(limit, 1.0)
+    return limit
