@@ -251,8 +251,9 @@ def load_module(name: str, device: str) -> bool:
         Whether it could be built. Raises what Warp does.
     """
     key = name, device
-    if key not in _loaded:
-        hear_of_build(name.rpartition(".")[2])
+    if key in _loaded:
+        return True
+    hear_of_build(name.rpartition(".")[2])
     with _load_locks[key]:
         if key in _loaded:
             return True
@@ -299,16 +300,9 @@ def is_loaded(kernel: wp.Kernel, device: str) -> bool:
     return (kernel.module.name, device) in _loaded
 
 
-def _load(kernel: wp.Kernel, device: str) -> None:
-    """Load a kernel's module unless it is."""
-    key = kernel.module.name, device
-    if key not in _loaded:
-        load_module(*key)
-
-
 def launch(kernel: wp.Kernel, count: int, inputs: list, outputs: list, device: str) -> None:
     """Launch a kernel over `count` threads with its module's block size."""
-    _load(kernel, device)
+    load_module(kernel.module.name, device)
     wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device))
 
 
@@ -323,6 +317,6 @@ def launch_bands(kernel: wp.Kernel, first: int, count: int, inputs: list, output
 
 def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str, count: int = 1) -> wp.Launch:
     """Prepare a launch that is repeated; where `count` changes, `set_dim` comes before each `launch`."""
-    _load(kernel, device)
+    load_module(kernel.module.name, device)
     return wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
                      record_cmd=True)

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels import display
+from .device import launch
 from .staging import PicturePages
 
 __all__ = ["DevicePicture", "GlTexture", "PictureReader", "make_test_picture"]
@@ -58,7 +59,7 @@ class PictureReader:
         count = width * height
         if self._packed is None or self._packed.size != count:
             self._packed = wp.empty(count, dtype=wp.uint32, device=self.device)
-        wp.launch(display.pack_picture, count, [picture], [self._packed], device=self.device)
+        launch(display.pack_picture, count, [picture], [self._packed], self.device)
         return self._pages.read(self._packed).view(np.float32).reshape(height, width)
 
     def on_device(self, picture: wp.array, width: int, height: int) -> DevicePicture:
@@ -67,7 +68,7 @@ class PictureReader:
             self._ring = [wp.empty((height, width), dtype=wp.vec4h, device=self.device) for _ in range(RING)]
         self._turn = (self._turn + 1) % RING
         halves = self._ring[self._turn]
-        wp.launch(display.halve_picture, width * height, [picture], [halves.flatten()], device=self.device)
+        launch(display.halve_picture, width * height, [picture], [halves.flatten()], self.device)
         # The picture must be complete before another thread copies it, whatever stream that uses.
         wp.synchronize_stream(wp.get_stream(self.device))
         return DevicePicture(halves)

@@ -10,6 +10,7 @@ import warp as wp
 
 from ..kernels import types
 from ..kernels.flatten import measure_emitters
+from .device import launch
 from .geometry_store import GeometryStore
 from .instance_plan import InstancePlan
 from .scene import InstanceTable, Key, MaterialData
@@ -95,7 +96,7 @@ def find_emitters(
     power = wp.zeros(entries, dtype=float, device=device)
     low = wp.zeros(entries, dtype=wp.vec3, device=device)
     high = wp.zeros(entries, dtype=wp.vec3, device=device)
-    wp.launch(measure_emitters, entries, [scene, face_array, 0, POINTS], [power, low, high], device=device)
+    launch(measure_emitters, entries, [scene, face_array, 0, POINTS], [power, low, high], device)
     watts = power.numpy().astype(np.float64)
     watts[~np.isfinite(watts)] = 0.0
     return EmitterTable(

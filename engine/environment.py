@@ -10,7 +10,7 @@ import warp as wp
 
 from ..kernels import node_codes, types
 from ..kernels.environment import bake_environment
-from .device import run_bands
+from .device import launch, load_module, run_bands
 from .program import Program
 from .scene import Visibility, WorldData
 
@@ -82,16 +82,15 @@ def build_environment(
     importance = wp.zeros(width * height, dtype=float, device=device)
     radiance = wp.zeros(width * height, dtype=wp.vec3, device=device)
     if wp.get_device(device).is_cuda:
-        wp.launch(
-            bake_environment, width * height, [scene, width, height, 0, POINTS], [importance, radiance], device=device)
+        launch(bake_environment, width * height, [scene, width, height, 0, POINTS], [importance, radiance], device)
     else:
-        wp.load_module(bake_environment.module.name, device=device)
+        load_module(bake_environment.module.name, device)
         rows = np.linspace(0, height, 17).astype(int)
 
         def bake(low: int, high: int) -> Callable[[], None]:
-            return lambda: wp.launch(
+            return lambda: launch(
                 bake_environment, (high - low) * width, [scene, width, height, low * width, POINTS],
-                [importance, radiance], device=device)
+                [importance, radiance], device)
 
         run_bands(bake(low, high) for low, high in zip(rows[:-1], rows[1:], strict=True) if high > low)
     values = np.nan_to_num(importance.numpy().astype(np.float64))

@@ -14,6 +14,7 @@ import warp as wp
 
 from ..kernels.flatten import flatten_vertices
 from ..kernels.types import Geometry, InstanceLevel, Scene
+from .device import launch
 from .flat_structure import FlatStructure
 from .geometry_store import GeometryStore, MeshRange
 from .history import copy_struct
@@ -141,10 +142,10 @@ class Structures:
         if vertex == 0:
             return
         points = wp.zeros(vertex, dtype=wp.vec3, device=self.device)
-        wp.launch(flatten_vertices, vertex, [
+        launch(flatten_vertices, vertex, [
             instances, store.positions.array,
             wp.array(np.concatenate(vertex_instance), dtype=int, device=self.device),
-            wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], device=self.device)
+            wp.array(np.concatenate(vertex_source), dtype=int, device=self.device), 0], [points], self.device)
         self.opaque.build(points, opaque_index, opaque_face)
         # A layer is met once, by which its search goes on.
         self.filtered.build(points, filtered_index, filtered_face, opaque=False)

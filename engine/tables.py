@@ -17,7 +17,7 @@ import warp as wp
 
 from ..kernels import albedo_tables as kernels
 from ..kernels.types import Tables
-from .device import start_warp
+from .device import load_module, start_warp
 from .film_colors import Matrix, film_rows
 from .sky.image import TO_REC709
 
@@ -51,7 +51,7 @@ def compute_tables(threads: int | None = None) -> dict[str, np.ndarray]:
         Arrays by the names and of the shapes in SHAPES, float32 in [0, 1].
     """
     arrays = {name: wp.zeros(shape, dtype=float, device="cpu") for name, shape in SHAPES.items()}
-    wp.load_module(kernels, device="cpu")
+    load_module(kernels.__name__, "cpu")
     glass = [arrays["glass_e"], arrays["glass_inv_e"], arrays["schlick_ior_s"], arrays["dielectric_c"]]
     averages = [arrays["glass_e_avg"], arrays["glass_inv_e_avg"]]
     # Slabs of one table are disjoint, and a launch on the CPU lets other threads run.

@@ -19,7 +19,7 @@ from .film import Film, film_mean, film_samples, mean_square
 from .gbuffer import GBuffer
 from .geometry_math import is_finite3
 from .packing import rgb, unpack_normal
-from .supersampling import first_of_block
+from .supersampling import block_pixel
 from .view import SKY_DEPTH
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -93,9 +93,8 @@ def add_normals(
     if frames > 0:
         mean = normals_out[pixel]
     normal = wp.vec3(0.0, 0.0, 0.0)
-    start = first_of_block(pixel, width, factor)
     for k in range(factor * factor):
-        sample = start + k // factor * factor * width + k % factor
+        sample = block_pixel(pixel, width, factor, k)
         if gbuffer.depth[sample] < SKY_DEPTH:
             normal += unpack_normal(gbuffer.normal[sample]) / float(factor * factor)
     normals_out[pixel] = mean + (normal - mean) / float(frames + 1)

@@ -9,9 +9,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def first_of_block(pixel: int, width: int, factor: int) -> int:
-    """Return where the block of a pixel begins in the larger picture; `width` is that of the smaller one [px]."""
-    return (pixel // width * factor * width + pixel % width) * factor
+def block_pixel(pixel: int, width: int, factor: int, k: int) -> int:
+    """Return the k-th pixel of a pixel's block in the larger picture; `width` is that of the smaller one [px]."""
+    x = pixel % width * factor + k % factor
+    y = pixel // width * factor + k // factor
+    return y * width * factor + x
 
 
 @wp.kernel
@@ -26,10 +28,9 @@ def average_colors(
 ):
     """Average blocks of factor x factor premultiplied colours, in linear light."""
     pixel = first + wp.tid()
-    start = first_of_block(pixel, width, factor)
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for k in range(factor * factor):
-        total += picture[start + k // factor * factor * width + k % factor]
+        total += picture[block_pixel(pixel, width, factor, k)]
     averaged_out[pixel] = total / float(factor * factor)
 
 
@@ -45,8 +46,7 @@ def average_light(
 ):
     """Average blocks of factor x factor values of light."""
     pixel = first + wp.tid()
-    start = first_of_block(pixel, width, factor)
     total = wp.vec3(0.0, 0.0, 0.0)
     for k in range(factor * factor):
-        total += light[start + k // factor * factor * width + k % factor]
+        total += light[block_pixel(pixel, width, factor, k)]
     averaged_out[pixel] = total / float(factor * factor)
