@@ -37,7 +37,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     Preset.BALANCED: MappingProxyType({}),
     Preset.FINE: MappingProxyType({
         "probes.spawn_tile": 8,
-        "probes.half_rate": False,
+        "probes.update_interval": 1,
         "cache.cell_pixels": 16.0,
         "cache.capacity": 22,
         "cache.bounce_share": 0.5,
@@ -49,7 +49,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "reflections.bounces": 12,
     }),
     Preset.PAPER: MappingProxyType({
-        "probes.half_rate": False,
+        "probes.update_interval": 1,
         "probes.dense_small": False,
         "probes.contact_detail": True,
         "probes.energy_exact": False,

@@ -197,9 +197,10 @@ class ProbeSettings:
     specular_rays: bool = setting(
         True, "Send some of the rays into the reflection, so that the cache has cells where reflections look: slightly "
         "more noise in diffuse light")
-    half_rate: bool = setting(
-        True, "Update every other probe that may wait while something moves: half the probe, bounce and shadow rays, "
-        "slightly more noise in motion")
+    update_interval: int = setting(
+        4, "A probe that may wait is updated in one of so many frames while the camera moves, and at least in every "
+        "other where more moves and in pictures of up to a million pixels: 4 takes a ninth of the time off 1080p "
+        "frames, for up to 1.5 % more error", low=1, high=4, unit="frames")
     dense_small: bool = setting(
         True, "Give pictures of 240x135 to 960x540 pixels as many rays as a 1080p frame has, on a GPU, which they "
         "leave idle otherwise: twice as many probes along each side, a reflection ray for each pixel and finer cells, "

@@ -22,7 +22,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no persistence": {"probes.persistence": False},
     "no probe filter": {"probes.filtering": False},
     "no probe rays into reflections": {"probes.specular_rays": False},
-    "every probe in every frame": {"probes.half_rate": False},
+    "every probe in every frame": {"probes.update_interval": 1},
     "small pictures not denser": {"probes.dense_small": False},
     "contact detail": {"probes.contact_detail": True},
     "published probe energy": {"probes.energy_exact": False},

@@ -9,16 +9,8 @@ from .gbuffer import GBuffer, Surface, barycentrics_of, load_material, load_surf
 from .geometry_math import luminance
 from .intersect import Hit, surface_point
 from .packing import pack_normal, unpack_normal
-from .probe_spawn import (
-    LAYER_SHARE,
-    WINDOW_STEP,
-    may_wait,
-    on_surface,
-    probe_cell,
-    separated,
-    served_tile,
-    surface_distance,
-)
+from .probe_spawn import LAYER_SHARE, WINDOW_STEP, on_surface, probe_cell, separated, surface_distance
+from .probe_turns import may_wait, served_tile
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .sampling import hashed_unit
 from .types import Scene

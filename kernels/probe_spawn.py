@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Screen probes: which probes of the pool are on the screen, and where probes are updated in this frame.
+"""Screen probes: which probes of the pool are on the screen.
 
 GI-1.0 (section 3.1 and 3.3) with the probes anchored in the world: instead of resampling each tile's probe from the
-frame before, the pool's probes are projected and compete for the tiles. Each spawn tile (16 x 16 px by default) has one
-update a frame; tiles without a probe come first, within the spawn tile and then all over the screen: updates that can
-wait are handed to empty tiles one by one (the published patching draws at random and may hit one update twice).
+frame before, the pool's probes are projected and compete for the tiles.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ import warp as wp
 from .gbuffer import GBuffer, Surface, has_surface, load_surface, plane_distance
 from .packing import unpack_normal
 from .probe_map import cell_of, to_local
-from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
+from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .sampling import to_unit
-from .view import View, pixel_footprint, project, settling_frames
+from .view import View, pixel_footprint, project
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -33,10 +31,6 @@ WINDOW_STEP = wp.constant(97)
 # Share of the way to a point at which a probe's rays may end without anything standing between them: the mean of
 # inverse distances lies a fifth below the distance from the mean place where a tile meets a wall.
 SEPARATION = wp.constant(0.8)
-
-# Frames of light, and those that a probe has averaged, from which on updates may wait: before, every ray counts.
-SETTLED_FRAMES = wp.constant(16.0)
-SETTLED_COUNT = wp.constant(4.0)
 
 # Share of a tile's width by which probes and places of one surface may lie apart across it (surface_distance): a
 # curtain hangs less than a tile's width before its wall, in other light.
@@ -219,125 +213,3 @@ def mark_used(
         return
     if claim_slot(tiles.claim[tile]) == slot or claim_slot(tiles.claim_other[tile]) == slot:
         pool_out.used[slot] = views[0].frame + 1
-
-
-@wp.func
-def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
-    """Return the tile of a spawn tile whose turn it is, -1 off the picture; diagonals first."""
-    n = grid.side
-    k = turn % (n * n)
-    x = (update % grid.update_columns) * n + k % n
-    y = (update // grid.update_columns) * n + (k // n + k) % n
-    if x >= grid.tile_columns or y >= grid.tile_rows:
-        return -1
-    return y * grid.tile_columns + x
-
-
-@wp.func
-def take_turns(grid: ProbeGrid, view: View) -> bool:
-    """Return whether in each frame every other spawn tile may leave its update to the next frame."""
-    return grid.half_rate == 1 and view.rest == 0 and settling_frames(view) >= SETTLED_FRAMES
-
-
-@wp.func
-def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
-    """Return whether a spawn tile whose tiles all have a probe leaves its update to the next frame.
-
-    On one colour of a checkerboard, and not where one of the probes is new or has met a change of light.
-    """
-    color = update % grid.update_columns + update // grid.update_columns + view.frame
-    if not take_turns(grid, view) or (color & 1) == 0:
-        return False
-    least = SETTLED_COUNT
-    i = int(0)
-    while i < grid.side * grid.side:
-        tile = turn_tile(grid, update, i)
-        if tile >= 0:
-            if tiles.seed[tile] >= 0 and tiles.probe[tile] >= 0:
-                least = wp.min(least, pool.count[tiles.probe[tile]])
-        i = i + 1
-    return least >= SETTLED_COUNT
-
-
-@wp.kernel
-def choose_tiles(
-    first: int,
-    # In:
-    grid: ProbeGrid,
-    views: wp.array[View],
-    tiles: ProbeTiles,
-    # Out:
-    updates_out: ProbeUpdates,
-):
-    """Choose the tile of each spawn tile that needs an update most: an empty one, else the one whose turn it is."""
-    update = first + wp.tid()
-    turn = views[0].frame
-    if take_turns(grid, views[0]):
-        turn = turn // 2
-    missing = int(-1)
-    covered = int(-1)
-    i = int(0)
-    while missing < 0 and i < grid.side * grid.side:
-        tile = turn_tile(grid, update, turn % (grid.side * grid.side) + i)
-        if tile >= 0:
-            if tiles.seed[tile] >= 0:
-                if tiles.claim[tile] < wp.int64(0):
-                    missing = tile
-                elif covered < 0:
-                    covered = tile
-        i = i + 1
-    updates_out.own[update] = wp.where(missing >= 0, missing, covered)
-    updates_out.free[update] = wp.where(missing >= 0, 0, 1)
-
-
-@wp.kernel
-def mark_empty(
-    first: int,
-    # In:
-    grid: ProbeGrid,
-    updates: ProbeUpdates,
-    # Out:
-    tiles_out: ProbeTiles,
-):
-    """Write down each tile's probes, and whether it is left without one."""
-    tile = first + wp.tid()
-    update = (tile // grid.tile_columns // grid.side) * grid.update_columns + tile % grid.tile_columns // grid.side
-    probe = claim_slot(tiles_out.claim[tile])
-    tiles_out.probe[tile] = probe
-    tiles_out.other[tile] = claim_slot(tiles_out.claim_other[tile])
-    tiles_out.empty[tile] = wp.where(probe < 0 and tiles_out.seed[tile] >= 0 and updates.own[update] != tile, 1, 0)
-
-
-@wp.kernel
-def list_empty(
-    # Out:
-    tiles_out: ProbeTiles,
-):
-    """List the empty tiles by rank."""
-    tile = wp.tid()
-    if tiles_out.empty[tile] == 1:
-        tiles_out.empty_list[tiles_out.rank[tile] - 1] = tile
-
-
-@wp.func
-def spread(index: int, count: int, of: int) -> int:
-    """Return the index-th of `count` numbers spread evenly over 0 .. of - 1."""
-    return int(wp.int64(index) * wp.int64(of) / wp.int64(count))
-
-
-@wp.func
-def served_tile(rank: int, free_count: int, empty_count: int, frame: int, empty_list: wp.array[int]) -> int:
-    """Return the empty tile that takes over the free update of a rank (from 0), -1 for none; a bijection.
-
-    min(free, empty) pairs: both sides are spread evenly over their lists and rotate with the frames.
-    """
-    pairs = wp.min(free_count, empty_count)
-    if pairs == 0:
-        return -1
-    at = (rank + frame * 61) % free_count
-    pair = int((wp.int64(at) * wp.int64(pairs) + wp.int64(free_count - 1)) / wp.int64(free_count))
-    if pair >= pairs:
-        return -1
-    if spread(pair, pairs, free_count) != at:
-        return -1
-    return empty_list[(spread(pair, pairs, empty_count) + frame * 89) % empty_count]

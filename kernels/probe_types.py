@@ -41,8 +41,8 @@ class ProbeGrid:
     guided: int
     filtered: int
     specular: int
-    half_rate: int
-    """1: updates that may wait take turns while something moves"""
+    interval: int
+    """Frames of which an update that may wait has one while something moves"""
     exact: int
     """0: the published estimator"""
     history: float
@@ -97,7 +97,7 @@ class ProbeTiles:
     other: wp.array[int]
     """Slot of a probe on another surface, -1 none"""
     empty: wp.array[int]
-    """1 where a probe is missing and the spawn tile's own update goes elsewhere"""
+    """1 where a probe is missing (find_missing); at last only where the spawn tile's own update goes elsewhere"""
     rank: wp.array[int]
     """Inclusive prefix sum of `empty`"""
     empty_list: wp.array[int]
@@ -110,7 +110,7 @@ class ProbeUpdates:
     own: wp.array[int]
     """Tile of the spawn tile that needs an update most, -1 where there is only sky"""
     free: wp.array[int]
-    """1 where `own` can wait: it has a probe"""
+    """1 where `own` can wait: it misses no probe"""
     rank: wp.array[int]
     """Inclusive prefix sum of `free`"""
     tile: wp.array[int]

@@ -37,7 +37,7 @@ class BURNISH_RENDER_PT_probes(RealtimePanel, Panel):
         column = layout.column(heading="Rays")
         column.prop(probes, "guiding")
         column.prop(probes, "specular_rays")
-        column.prop(probes, "half_rate")
+        column.prop(probes, "update_interval")
         column = layout.column(heading="Light")
         column.prop(probes, "persistence")
         column.prop(probes, "filtering")

@@ -23,6 +23,7 @@ from ...kernels import (
     probe_place,
     probe_records,
     probe_sample,
+    probe_turns,
     reflection_probes,
 )
 from ...kernels import probe_spawn as spawn
@@ -36,6 +37,7 @@ from ..debug_views import DEBUG_VIEWS
 from ..device import launch
 from ..frame_graph import FrameGraph
 from ..lobe_moments import lobe_moments
+from ..ray_budget import HALF_RATE_PIXELS, SMALL_INTERVAL
 from ..settings import ProbeSettings
 from ..work_list import make_work_list
 
@@ -77,6 +79,7 @@ class ScreenProbePass:
     def __init__(self, device: str, settings: ProbeSettings | None = None):
         self.device = device
         self.settings = settings or ProbeSettings()
+        self.half_rate_pixels = HALF_RATE_PIXELS
         self.width = self.height = 0
 
     def configure(self, settings: ProbeSettings) -> None:
@@ -99,7 +102,8 @@ class ScreenProbePass:
         grid.slots = windows * self.update_count
         grid.persistent, grid.guided = int(self.settings.persistence), int(self.settings.guiding)
         grid.filtered, grid.specular = int(self.settings.filtering), int(self.settings.specular_rays)
-        grid.half_rate = int(self.settings.half_rate)
+        large = width * height > self.half_rate_pixels
+        grid.interval = self.settings.update_interval if large else min(self.settings.update_interval, SMALL_INTERVAL)
         grid.exact, grid.history = int(self.settings.energy_exact), float(self.settings.history)
         self.grid = grid
         self.pool = self._allocate(ProbePool, POOL, grid.slots)
@@ -160,11 +164,12 @@ class ScreenProbePass:
             graph.launch(spawn.claim_tiles, grid.slots, [grid, views, gbuffer], [pool, tiles], banded=False)
             graph.launch(spawn.claim_other_surfaces, grid.slots, [views, pool], [tiles], banded=False)
             graph.launch(spawn.mark_used, grid.slots, [views, tiles], [pool])
-            graph.launch(spawn.choose_tiles, self.update_count, [grid, views, tiles], [updates])
-            graph.launch(spawn.mark_empty, self.tile_count, [grid, updates], [tiles])
+            graph.launch(probe_turns.find_missing, self.tile_count, [grid, views, gbuffer, pool], [tiles])
+            graph.launch(probe_turns.choose_tiles, self.update_count, [grid, views, tiles], [updates])
+            graph.launch(probe_turns.mark_empty, self.tile_count, [grid, updates], [tiles])
             graph.call(lambda: wp.utils.array_scan(updates.free, updates.rank, inclusive=True))
             graph.call(lambda: wp.utils.array_scan(tiles.empty, tiles.rank, inclusive=True))
-            graph.launch(spawn.list_empty, self.tile_count, [], [tiles], banded=False)
+            graph.launch(probe_turns.list_empty, self.tile_count, [], [tiles], banded=False)
             graph.launch(probe_place.place_updates, self.update_count, [grid, views, scene, gbuffer, tiles, pool],
                          [updates])
         count, lanes = self.update_count * CELLS, graph.lanes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tests of screen probes where none was before: what comes into view takes no light along, slivers are not black."""
+"""Tests of screen probes in motion: what comes into view takes no light along, slivers are not black, updates wait."""
 
 from __future__ import annotations
 
@@ -16,13 +16,18 @@ HEIGHT = 0.15
 """Of the wall that shines [m]: seen from a tile's width farther off it is a different one"""
 
 
-def low_wall():
-    """Make a bench over a black floor to the right of an endless low white wall."""
+def low_wall(large):
+    """Make a bench over a black floor to the right of an endless low white wall; `large`: as in a large picture."""
     wall = scenes.mesh([[0, -50, 0], [0, 50, 0], [0, 50, HEIGHT], [0, -50, HEIGHT]], [[0, 1, 2], [0, 2, 3]])
     floor = scenes.mesh([[0, -50, 0], [50, -50, 0], [50, 50, 0], [0, 50, 0]], [[0, 1, 2], [0, 2, 3]])
     view = scenes.camera_above(height=3.0, half=0.5)
-    return ProbeBench({"floor": floor, "wall": wall}, [0.0, 1.0], view, (PIXELS, PIXELS),
-                      settings=ProbeSettings(contact_detail=False))
+    b = ProbeBench({"floor": floor, "wall": wall}, [0.0, 1.0], view, (PIXELS, PIXELS),
+                   settings=ProbeSettings(contact_detail=False))
+    if large:
+        b.probes.half_rate_pixels = 0
+        b.probes.resize(PIXELS, PIXELS)
+        b.record()
+    return b
 
 
 def wall_light(x):
@@ -30,17 +35,22 @@ def wall_light(x):
     return 0.5 * (1 - x / np.hypot(x, HEIGHT))
 
 
-def errors(step, frames):
+def seen_from(x):
+    """Return the camera 3 m above the floor at x [m], which shows 1 m of it."""
+    window = tuple(np.array([-0.5, 0.5, -0.5, 0.5]) / 3.0)
+    return CameraData(kind="perspective", transform=tuple(scenes.place(x=x, z=3.0).ravel()), window=window)
+
+
+def errors(step, frames, large):
     """Return by how much the floor's light is off, column by column, in the second half of a way from the wall.
 
     The camera sees 1 m of the floor and moves by `step` [m] a frame.
     """
-    b = low_wall()
-    window = tuple(np.array([-0.5, 0.5, -0.5, 0.5]) / 3.0)
+    b = low_wall(large)
     off = []
     for i in range(20 + frames):
         x = step * max(i - 20, 0)
-        b.frame(CameraData(kind="perspective", transform=tuple(scenes.place(x=x, z=3.0).ravel()), window=window))
+        b.frame(seen_from(x))
         if i >= 20 + frames // 2:
             floor = x + (np.arange(PIXELS) + 0.5) / PIXELS - 0.5
             light = b.irradiance()[0].mean(0)
@@ -48,14 +58,16 @@ def errors(step, frames):
     return np.array(off)
 
 
+@pytest.mark.parametrize("large", [False, True])
 @pytest.mark.parametrize(("step", "frames"), [(0.04, 24), (0.01, 48), (0.0025, 96)])
-def test_light_does_not_follow_the_camera(step, frames):
+def test_light_does_not_follow_the_camera(step, frames, large):
     """Find on the floor that comes into view its own light, not that of the floor nearer to the wall.
 
     At rest the dim end of the floor is a fifth too bright; it had been up to three times as bright with new probes
-    that trust those around them, or know nothing of how their light lies in its cells.
+    that trust those around them, know nothing of how their light lies in its cells, or are spared where others lie on
+    one side alone.
     """
-    assert abs(errors(step, frames)[:, -32:].mean()) < 0.45
+    assert abs(errors(step, frames, large)[:, -32:].mean()) < 0.45
 
 
 def test_slivers_take_light_from_what_is_near():
@@ -75,3 +87,53 @@ def test_slivers_take_light_from_what_is_near():
         sliver = light[confidence == 0.0]
         assert sliver.size
         np.testing.assert_allclose(sliver, 1.0, rtol=0.05)
+
+
+def large_floor(interval=4):
+    """Make a bench over an endless floor in a white sky, whose picture counts as a large one."""
+    b = ProbeBench({"floor": scenes.quad(50.0)}, [0.0], seen_from(0.0), (PIXELS, PIXELS), sky=1.0,
+                   settings=ProbeSettings(contact_detail=False, update_interval=interval))
+    b.probes.half_rate_pixels = 0
+    b.probes.resize(PIXELS, PIXELS)
+    b.record()
+    return b
+
+
+def updates_in_flight(interval, moving=False):
+    """Fly over the floor; return the share of spawn tiles updated a frame, and the light."""
+    b = large_floor(interval)
+    updated, light = [], []
+    for i in range(56):
+        b.frame(seen_from(0.003 * i), moved=moving)
+        if i >= 24:
+            updated.append(b.probes.stats()["updated"] / b.probes.update_count)
+            light.append(b.irradiance()[0])
+    return np.array(updated), np.array(light)
+
+
+@pytest.mark.parametrize(
+    ("interval", "least", "most"), [(1, 1.0, 1.0), (2, 0.5, 0.85), (3, 0.33, 0.55), (4, 0.25, 0.5)])
+def test_updates_that_may_wait_take_turns(interval, least, most):
+    """Update a share of the probes while the camera moves, those of new surfaces beside, and keep all light."""
+    updated, light = updates_in_flight(interval)
+    assert least <= updated.mean() <= most
+    np.testing.assert_allclose(light, 1.0, rtol=0.01)
+
+
+def test_updates_wait_for_less_where_more_than_the_camera_moves():
+    """Update every other probe at least while something else moves, as only rays find what it changes."""
+    assert updates_in_flight(4, moving=True)[0].mean() >= 0.5
+
+
+def test_no_tile_stays_without_a_probe():
+    """Give each tile that a neighbour's probe serves one of its own when its turn comes."""
+    b = large_floor()
+    without = np.zeros(b.probes.tile_count, int)
+    longest = 0
+    for i in range(80):
+        b.frame(seen_from(0.003 * i))
+        without = np.where(b.probes.tiles.probe.numpy() < 0, without + 1, 0)
+        if i >= 24:
+            longest = max(longest, without.max())
+    # Four tiles of a spawn tile take turns, once in four frames.
+    assert longest <= 16

@@ -103,7 +103,7 @@ def test_guiding_lowers_the_noise():
     """Have less noise with guided rays than with even ones."""
     noise = []
     for guiding in (False, True):
-        b = bench(0.0, settings=settings(guiding=guiding, filtering=False, half_rate=False))
+        b = bench(0.0, settings=settings(guiding=guiding, filtering=False, update_interval=1))
         b.lighting.sun, b.lighting.sun_cosine = 50.0, 0.99
         b.lighting.sun_direction = wp.vec3(0.5, 0.0, 0.8660254)
         b.record()

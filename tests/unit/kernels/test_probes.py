@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.kernels import probe_blend, probe_map, probe_rays, probe_spawn
+from burnish.kernels import probe_blend, probe_map, probe_rays, probe_spawn, probe_turns
 from burnish.kernels.geometry_math import to_frame
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -100,7 +100,7 @@ def serve(
     tile_out: wp.array[int],
 ):
     i = wp.tid()
-    tile_out[i] = probe_spawn.served_tile(i, free, empty, frame, empty_list)
+    tile_out[i] = probe_turns.served_tile(i, free, empty, frame, empty_list)
 
 
 def run(kernel, count, inputs, outputs):
