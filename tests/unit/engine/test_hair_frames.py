@@ -57,8 +57,12 @@ def light(scene, frames, **groups):
 
 
 @pytest.mark.parametrize(("absorption", "place", "surface"), [
-    (PALE, BEFORE, 0.1), (BROWN, BEFORE, 0.25), (BLACK, BEFORE, 0.4), (PALE, BEHIND, 0.5), (BROWN, BEHIND, 0.7)],
-    ids=["pale", "brown", "black", "pale lit from behind", "brown lit from behind"])
+    pytest.param(PALE, BEFORE, 0.1, id="pale", marks=pytest.mark.slow),
+    pytest.param(BROWN, BEFORE, 0.25, id="brown", marks=pytest.mark.slow),
+    pytest.param(BLACK, BEFORE, 0.4, id="black"),
+    pytest.param(PALE, BEHIND, 0.5, id="pale lit from behind", marks=pytest.mark.slow),
+    pytest.param(BROWN, BEHIND, 0.7, id="brown lit from behind"),
+])
 def test_hair_has_the_light_of_path_tracing(absorption, place, surface) -> None:
     """Bring the light that strands scatter; drawn as surfaces, hair is off by far more."""
     scene = furry(absorption, place)

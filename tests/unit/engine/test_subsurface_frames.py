@@ -52,9 +52,11 @@ def body_light(scene: LitScene, frames: int, **groups) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize(("radius", "place", "mesh", "error", "matte"), [
-    (FAR, BEFORE, None, 0.1, 0.15), (FAR, BEHIND, None, 0.1, 0.6), (NEAR, BEHIND, None, 0.1, 0.25),
-    (FAR, BEHIND, slab(), 0.12, 0.8),
-], ids=["ball", "ball lit from behind", "less far", "slab lit from behind"])
+    pytest.param(FAR, BEFORE, None, 0.1, 0.15, id="ball", marks=pytest.mark.slow),
+    pytest.param(FAR, BEHIND, None, 0.1, 0.6, id="ball lit from behind"),
+    pytest.param(NEAR, BEHIND, None, 0.1, 0.25, id="less far", marks=pytest.mark.slow),
+    pytest.param(FAR, BEHIND, slab(), 0.12, 0.8, id="slab lit from behind"),
+])
 def test_bodies_have_the_light_of_path_tracing(radius, place, mesh, error, matte) -> None:
     """Bring the light that walks bring; drawn as diffuse, bodies are off by far more."""
     scene = lit(radius, place, mesh)

@@ -72,8 +72,11 @@ def test_surfaces_are_lit_through_it():
     assert found == pytest.approx(expected, rel=0.06)
 
 
-@pytest.mark.parametrize(("density", "anisotropy"), [(3.0, 0.0), (20.0, 0.0), (20.0, 0.6)],
-                         ids=["smoke", "cloud", "forward"])
+@pytest.mark.parametrize(("density", "anisotropy"), [
+    pytest.param(3.0, 0.0, id="smoke", marks=pytest.mark.slow),
+    pytest.param(20.0, 0.0, id="cloud"),
+    pytest.param(20.0, 0.6, id="forward", marks=pytest.mark.slow),
+])
 def test_frames_have_the_energy_of_path_tracing(density, anisotropy):
     """Light a ball over a floor by sun and sky: after 24 frames within 8 % of path tracing."""
     delta = fog_box(ball(density, 0.98, anisotropy), background=0.3, lights=[SUN], **FLOOR)
