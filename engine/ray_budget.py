@@ -22,7 +22,7 @@ HALF_RATE_PIXELS = 1_000_000
 SMALL_INTERVAL frames at most: they are coarser, and it costs little"""
 
 SMALL_INTERVAL = 2
-"""ProbeSettings.update_interval at most in pictures of up to HALF_RATE_PIXELS: twice as much has 2 to 4 % more FLIP"""
+"""ProbeSettings.update_interval at most in pictures of up to HALF_RATE_PIXELS: twice as much has 1 to 4 % more FLIP"""
 
 SMALL_PIXELS = 1920 * 1080 // 4
 """Pixels of a small picture at most: with half the distance between probes, and a reflection ray for each pixel instead

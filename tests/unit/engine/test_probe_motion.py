@@ -16,6 +16,14 @@ HEIGHT = 0.15
 """Of the wall that shines [m]: seen from a tile's width farther off it is a different one"""
 
 
+def as_large(b):
+    """Return a bench whose picture counts as a large one from now on."""
+    b.probes.half_rate_pixels = 0
+    b.probes.resize(*b.size)
+    b.record()
+    return b
+
+
 def low_wall(large):
     """Make a bench over a black floor to the right of an endless low white wall; `large`: as in a large picture."""
     wall = scenes.mesh([[0, -50, 0], [0, 50, 0], [0, 50, HEIGHT], [0, -50, HEIGHT]], [[0, 1, 2], [0, 2, 3]])
@@ -23,11 +31,7 @@ def low_wall(large):
     view = scenes.camera_above(height=3.0, half=0.5)
     b = ProbeBench({"floor": floor, "wall": wall}, [0.0, 1.0], view, (PIXELS, PIXELS),
                    settings=ProbeSettings(contact_detail=False))
-    if large:
-        b.probes.half_rate_pixels = 0
-        b.probes.resize(PIXELS, PIXELS)
-        b.record()
-    return b
+    return as_large(b) if large else b
 
 
 def wall_light(x):
@@ -93,10 +97,7 @@ def large_floor(interval=4):
     """Make a bench over an endless floor in a white sky, whose picture counts as a large one."""
     b = ProbeBench({"floor": scenes.quad(50.0)}, [0.0], seen_from(0.0), (PIXELS, PIXELS), sky=1.0,
                    settings=ProbeSettings(contact_detail=False, update_interval=interval))
-    b.probes.half_rate_pixels = 0
-    b.probes.resize(PIXELS, PIXELS)
-    b.record()
-    return b
+    return as_large(b)
 
 
 def updates_in_flight(interval, moving=False):
