@@ -13,6 +13,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_surface
 from .packing import unpack_normal
+from .probe_gather import neighbour_tile
 from .probe_spawn import claim_slot, on_surface, separated
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settling_frames
@@ -43,14 +44,13 @@ def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
 
 
 @wp.func
-def take_turns(grid: ProbeGrid, view: View) -> bool:
-    """Return whether spawn tiles may leave their updates to a later frame."""
-    return grid.interval > 1 and view.rest == 0 and settling_frames(view) >= SETTLED_FRAMES
-
-
-@wp.func
 def turn_interval(grid: ProbeGrid, view: View) -> int:
-    """Return of how many frames an update that may wait has one: while only the camera moves it brings little new."""
+    """Return of how many frames an update that may wait has one; 1: none waits, as at rest and while light spreads.
+
+    While only the camera moves it brings little new.
+    """
+    if view.rest > 0 or settling_frames(view) < SETTLED_FRAMES:
+        return 1
     if float(view.moved_age) < SETTLED_FRAMES:
         return wp.min(grid.interval, CHANGING_INTERVAL)
     return grid.interval
@@ -71,12 +71,11 @@ def is_served(
     sides = int(0)
     i = int(0)
     while i < 9:
-        column = tile % grid.tile_columns + i % 3 - 1
-        row = tile // grid.tile_columns + i // 3 - 1
+        near = neighbour_tile(grid, tile, i % 3 - 1, i // 3 - 1)
         i = i + 1
         slot = int(-1)
-        if column >= 0 and row >= 0 and column < grid.tile_columns and row < grid.tile_rows:
-            slot = claim_slot(tiles.claim[row * grid.tile_columns + column])
+        if near >= 0:
+            slot = claim_slot(tiles.claim[near])
         if slot >= 0:
             position = pool.position[slot]
             if on_surface(view, s, position, unpack_normal(pool.normal[slot])):
@@ -105,7 +104,7 @@ def find_missing(
     """
     tile = first + wp.tid()
     missing = tiles_out.seed[tile] >= 0 and tiles_out.claim[tile] < wp.int64(0)
-    if missing and take_turns(grid, views[0]):
+    if missing and turn_interval(grid, views[0]) > 1:
         missing = not is_served(grid, views[0], gbuffer, pool, tiles_out, tile)
     tiles_out.empty[tile] = wp.where(missing, 1, 0)
 
@@ -120,7 +119,7 @@ def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, up
     interval = turn_interval(grid, view)
     row = update // grid.update_columns
     turn = update % grid.update_columns + row * wp.max(interval // 2, 1) + view.frame
-    if not take_turns(grid, view) or turn % interval == 0:
+    if turn % interval == 0:
         return False
     if interval > CHANGING_INTERVAL:
         return True
@@ -147,9 +146,7 @@ def choose_tiles(
 ):
     """Choose the tile of each spawn tile that needs an update most: one that misses a probe, else by turns."""
     update = first + wp.tid()
-    turn = views[0].frame
-    if take_turns(grid, views[0]):
-        turn = turn // turn_interval(grid, views[0])
+    turn = views[0].frame // turn_interval(grid, views[0])
     missing = int(-1)
     covered = int(-1)
     i = int(0)
