@@ -44,6 +44,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "direct_light.candidates": 16,
         "direct_light.half_rate": False,
         "reflections.roughness_traced": 0.7,
+        "reflections.roughness_weak": 0.7,
         "reflections.roughness_diffuse": 0.8,
         "reflections.resolution": ReflectionResolution.FULL,
         "reflections.bounces": 12,

@@ -42,6 +42,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "a shadow ray for every pixel": {"direct_light.half_rate": False},
     "no light behind glass": {"direct_light.clear_glass": False},
     "reflections traced to 0.2": {"reflections.roughness_traced": 0.2},
+    "weak reflections traced as far": {"reflections.roughness_weak": 0.5},
     "no traced reflections": {"reflections.roughness_traced": 0.0, "reflections.roughness_blend": 0.0},
     "no blend of reflections": {"reflections.roughness_blend": 0.0},
     "full reflection resolution": {"reflections.resolution": ReflectionResolution.FULL},

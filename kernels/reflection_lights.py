@@ -62,7 +62,7 @@ def ray_zone(options: ReflectionOptions, m: SurfaceMaterial) -> float:
     roughness = m.roughness
     if m.coat > REFLECTANCE_MIN:
         roughness = wp.min(roughness, m.coat_roughness)
-    return ray_share(options, roughness)
+    return ray_share(options, roughness, max_component(m.specular))
 
 
 @wp.func

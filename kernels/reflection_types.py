@@ -39,6 +39,11 @@ SAMPLE_FAR = wp.constant(6.0e4)
 # Directional albedo below which no reflection is drawn: 8-bit pictures can't show it.
 REFLECTANCE_MIN = wp.constant(1.0e-3)
 
+# Albedo up to which a reflection is weak, as of wood and plastic seen from above, and from which on it is strong, as of
+# metals, and of all at grazing angles. What probes blur of weak ones hardly shows beside the surface's own light.
+WEAK_ALBEDO = wp.constant(0.05)
+STRONG_ALBEDO = wp.constant(0.15)
+
 # Roughness from which a probe's cells, some 20 degrees wide, are fine enough for what a base under a coat reflects, and
 # the share of it below which the coat's roughness counts as sharp.
 COATED_ROUGHNESS = wp.constant(0.3)
@@ -61,6 +66,8 @@ class ReflectionOptions:
     """LOBE_*"""
     traced: float
     """Roughness up to which rays are traced (the paper's r_rt)"""
+    weak: float
+    """The same for weak reflections (WEAK_ALBEDO)"""
     diffuse: float
     """Roughness from which the diffuse result stands in (the paper's r_diffuse)"""
     blend: float
@@ -117,11 +124,12 @@ def fading(x: float, start: float, width: float) -> float:
 
 
 @wp.func
-def ray_share(options: ReflectionOptions, roughness: float) -> float:
-    """Return the share of a reflection that rays bring; the rest is looked up in the probes."""
+def ray_share(options: ReflectionOptions, roughness: float, albedo: float) -> float:
+    """Return the share of a reflection of such an albedo that rays bring; the rest is looked up in the probes."""
     if options.lobe != LOBE_REFLECTION:
         return 1.0
-    return fading(roughness, options.traced, options.blend)
+    strong = 1.0 - fading(albedo, WEAK_ALBEDO, STRONG_ALBEDO - WEAK_ALBEDO)
+    return fading(roughness, wp.lerp(options.weak, options.traced, strong), options.blend)
 
 
 @wp.func
@@ -133,7 +141,7 @@ def coat_alone(options: ReflectionOptions, m: SurfaceMaterial) -> bool:
     """
     if options.lobe != LOBE_REFLECTION or m.coat <= REFLECTANCE_MIN or m.roughness < COATED_ROUGHNESS:
         return False
-    return m.coat_roughness < COAT_SHARP * m.roughness and ray_share(options, m.coat_roughness) > 0.0
+    return m.coat_roughness < COAT_SHARP * m.roughness and ray_share(options, m.coat_roughness, m.coat) > 0.0
 
 
 @wp.func

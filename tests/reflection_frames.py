@@ -76,7 +76,8 @@ class ReflectionFrames:
         options.width = options.height = size
         options.stride, options.lobe = stride, lobe
         options.columns = options.rows = self.columns = -(-size // stride)
-        options.traced, options.diffuse, options.blend = 0.2, 1.0, 0.1
+        options.traced = options.weak = 0.2
+        options.diffuse, options.blend = 1.0, 0.1
         self.options = options
         self.roughness = np.broadcast_to(np.asarray(roughness, np.float64), (size, size)).reshape(-1).copy()
         self.gbuffer = GBuffer()

@@ -106,6 +106,7 @@ class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):
         layout.prop(reflections, "bounces")
         column = layout.column(align=True)
         column.prop(reflections, "roughness_traced", text="Traced up to Roughness")
+        column.prop(reflections, "roughness_weak", text="Weak Ones up to")
         column.prop(reflections, "roughness_diffuse", text="Diffuse from")
         column.prop(reflections, "roughness_blend", text="Blend")
         layout.prop(reflections, "subsurface")

@@ -248,6 +248,7 @@ class DirectLightPass:
             options.reflection.width, options.reflection.height = self.width, self.height
             options.reflection.lobe = int(LOBE_REFLECTION)
             options.reflection.traced = self.reflections.roughness_traced
+            options.reflection.weak = min(self.reflections.roughness_weak, self.reflections.roughness_traced)
             options.reflection.diffuse = self.reflections.roughness_diffuse
             options.reflection.blend = self.reflections.roughness_blend
         return options

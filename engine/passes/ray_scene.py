@@ -73,8 +73,8 @@ def reflection_options(
     options.width, options.height, options.stride = width, height, stride
     options.columns, options.rows = -(-width // stride), -(-height // stride)
     options.lobe = int(lobe)
-    options.traced, options.diffuse = settings.roughness_traced, settings.roughness_diffuse
-    options.blend = settings.roughness_blend
+    options.traced, options.weak = settings.roughness_traced, min(settings.roughness_weak, settings.roughness_traced)
+    options.diffuse, options.blend = settings.roughness_diffuse, settings.roughness_blend
     return options
 
 

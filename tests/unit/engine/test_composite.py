@@ -56,7 +56,8 @@ def reflection_options() -> ReflectionOptions:
     """Return the options of the defaults."""
     options = ReflectionOptions()
     options.width, options.height = W, H
-    options.traced, options.diffuse, options.blend = 0.2, 0.6, 0.1
+    options.traced = options.weak = 0.2
+    options.diffuse, options.blend = 0.6, 0.1
     return options
 
 

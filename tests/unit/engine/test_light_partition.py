@@ -72,8 +72,8 @@ def ray_share_of(frames, settings):
     """Return what reflection rays bring of the lights, float64 [h, w, 3]."""
     options = ReflectionOptions()
     options.width = frames.size
-    options.traced, options.diffuse = settings.roughness_traced, settings.roughness_diffuse
-    options.blend = settings.roughness_blend
+    options.traced, options.weak = settings.roughness_traced, min(settings.roughness_weak, settings.roughness_traced)
+    options.diffuse, options.blend = settings.roughness_diffuse, settings.roughness_blend
     light = wp.zeros(frames.size**2, dtype=wp.vec3, device=frames.device)
     wp.launch(trace_share, frames.size**2,
               [frames.views.array, frames.scene.scene, frames.gbuffer.current(frames.views.parity), options, SAMPLES],

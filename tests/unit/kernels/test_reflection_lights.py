@@ -204,7 +204,8 @@ class Lit:
         r.material.f90, r.material.roughness = 1.0 - coat, roughness
         r.material.coat, r.material.coat_roughness = coat, coat_roughness
         r.options.rays = 1
-        r.options.reflection.traced, r.options.reflection.diffuse, r.options.reflection.blend = 0.2, 0.6, 0.1
+        r.options.reflection.traced = r.options.reflection.weak = 0.2
+        r.options.reflection.diffuse, r.options.reflection.blend = 0.6, 0.1
         unit = np.array(PATCH) / np.linalg.norm(PATCH)
         r.patch = wp.vec4(*unit, COSINE)
         if self.split.share > 0.0:
