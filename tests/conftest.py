@@ -20,6 +20,9 @@ ROOT = Path(__file__).resolve().parent.parent
 BLENDER_TIMEOUT = 120.0
 """Seconds after which a child process with bpy counts as hanging."""
 
+SCRIPT_START = f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); import conftest\n"
+"""What scripts in child processes begin with: makes `burnish` this checkout"""
+
 os.environ.setdefault("PYTHONDONTWRITEBYTECODE", "1")
 
 
@@ -78,24 +81,29 @@ def device(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="session")
-def run_python() -> Callable[..., subprocess.CompletedProcess]:
-    """Return a function that runs a Python script in a child process, where `burnish` and bpy can be imported."""
+def fresh_python() -> Callable[..., subprocess.CompletedProcess]:
+    """Return a function that runs a Python script in a new process, where `burnish` and bpy can be imported."""
 
     def run(script: str, *arguments: object, timeout: float = BLENDER_TIMEOUT,
             environment: dict[str, str] | None = None) -> subprocess.CompletedProcess:
-        preamble = f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); import conftest\n"
         return subprocess.run(
-            [sys.executable, "-c", preamble + script, *map(str, arguments)], capture_output=True, text=True,
+            [sys.executable, "-c", SCRIPT_START + script, *map(str, arguments)], capture_output=True, text=True,
             errors="replace", timeout=timeout, stdin=subprocess.DEVNULL, env={**os.environ, **(environment or {})})
 
     return run
 
 
 @pytest.fixture(scope="session")
-def burnish(run_python: Callable[..., subprocess.CompletedProcess]) -> Callable[..., subprocess.CompletedProcess]:
+def run_python(fresh_python: Callable[..., subprocess.CompletedProcess]) -> Callable[..., subprocess.CompletedProcess]:
+    """Return the same; tests/blender has a quicker one for scripts that are not about the process itself."""
+    return fresh_python
+
+
+@pytest.fixture(scope="session")
+def burnish(fresh_python: Callable[..., subprocess.CompletedProcess]) -> Callable[..., subprocess.CompletedProcess]:
     """Return a function that runs the command line: `burnish("render", scene, "--output", path)`."""
 
     def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
-        return run_python("from burnish.addon.cli import main; raise SystemExit(main())", *arguments, **options)
+        return fresh_python("from burnish.addon.cli import main; raise SystemExit(main())", *arguments, **options)
 
     return run

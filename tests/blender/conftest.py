@@ -4,12 +4,16 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.conftest import BLENDER_TIMEOUT, SCRIPT_START
+from tests.script_server import ScriptServer
 
 FOLDER = str(Path(__file__).resolve().parent)
 
@@ -24,6 +28,26 @@ def result_of(process: subprocess.CompletedProcess) -> Any:
     lines = [line for line in process.stdout.splitlines() if line.startswith("RESULT ")]
     assert process.returncode == 0 and lines, process.stdout + process.stderr
     return json.loads(lines[-1].removeprefix("RESULT "))
+
+
+@pytest.fixture(scope="session")
+def run_python(
+    fresh_python: Callable[..., subprocess.CompletedProcess], device: str,
+) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
+    """Return a function that runs a script as if in a process of its own, where `burnish` and bpy can be imported.
+
+    A fork of one that has the kernels, where there are forks, and no GPU, which a fork can't use.
+    """
+    if device != "cpu" or not hasattr(os, "fork"):
+        yield fresh_python
+        return
+    server = ScriptServer()
+
+    def run(script: str, *arguments: object, timeout: float = BLENDER_TIMEOUT) -> subprocess.CompletedProcess:
+        return server.run(SCRIPT_START + script, *arguments, timeout=timeout)
+
+    yield run
+    server.close()
 
 
 @pytest.fixture(scope="session")

@@ -60,13 +60,13 @@ def rows_of(output: Path, index: int = 0) -> dict[str, dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def broken_run(tmp_path_factory: pytest.TempPathFactory, run_python: Run,
+def broken_run(tmp_path_factory: pytest.TempPathFactory, fresh_python: Run,
                ) -> tuple[Path, subprocess.CompletedProcess, subprocess.CompletedProcess]:
     """Return folder and output of two identical runs in which Burnish fails."""
     output = tmp_path_factory.mktemp("bench")
     arguments = ("bench", CORNELL, "--device", "cpu", "--size", 64, 36, "--samples", 4, "--truth", 16, "--engines",
                  "reference", "--peers", "cycles", "--output", output)
-    return output, *(run_python(BROKEN_BURNISH + RUN, *arguments, timeout=TIMEOUT) for _ in range(2))
+    return output, *(fresh_python(BROKEN_BURNISH + RUN, *arguments, timeout=TIMEOUT) for _ in range(2))
 
 
 def test_failing_engine_is_a_row(broken_run: tuple) -> None:
@@ -100,13 +100,13 @@ def test_second_run_renders_only_what_failed(broken_run: tuple) -> None:
     assert "Cycles 4 spp: " in second.stdout and second.returncode == 0
 
 
-def test_wrong_reference_is_a_sentence(broken_run: tuple, run_python: Run) -> None:
+def test_wrong_reference_is_a_sentence(broken_run: tuple, fresh_python: Run) -> None:
     """Say in one sentence that a reference has another size, and go on with the next scene."""
     output = broken_run[0]
     truth = next(output.glob("*/truth.exr"))
     small = output / "small.exr"
     write_exr(small, [LayerPixels("a", (PassPixels("Combined", "RGB", np.ones((18, 32, 3), np.float32)),))], {})
-    result = run_python(
+    result = fresh_python(
         BROKEN_BURNISH + RUN, "bench", CORNELL, CORNELL, "--device", "cpu", "--size", 32, 18, "--samples", 4,
         "--engines", "", "--peers", "cycles", "--reference", truth, "--reference", small, "--output", output / "wrong",
         timeout=TIMEOUT)
@@ -117,18 +117,18 @@ def test_wrong_reference_is_a_sentence(broken_run: tuple, run_python: Run) -> No
     assert "its own noise is not known" in (output / "wrong" / "report.html").read_text("utf-8")
 
 
-def test_interrupted_run_keeps_what_it_has(tmp_path: Path, run_python: Run) -> None:
+def test_interrupted_run_keeps_what_it_has(tmp_path: Path, fresh_python: Run) -> None:
     """After Ctrl-C finish the picture, report what is there, exit with 130, and go on from there the next time."""
     arguments = ("bench", CORNELL, CORNELL, "--device", "cpu", "--size", 48, 27, "--samples", "4,8", "--truth", 8,
                  "--engines", "", "--peers", "cycles", "--output", tmp_path)
-    result = run_python(BROKEN_BURNISH + INTERRUPTING + RUN, *arguments, timeout=TIMEOUT)
+    result = fresh_python(BROKEN_BURNISH + INTERRUPTING + RUN, *arguments, timeout=TIMEOUT)
     assert result.returncode == 130, result.stdout + result.stderr
     assert list(rows_of(tmp_path)) == ["Cycles 4 spp"]
     first, second = scenes_of(tmp_path)
     assert first["interrupted"] and "interrupted before this scene" in second["failure"]
     text = (tmp_path / "report.html").read_text("utf-8")
     assert "rows are missing" in text and "Cycles 4 spp" in text
-    result = run_python(BROKEN_BURNISH + RUN, *arguments, timeout=TIMEOUT)
+    result = fresh_python(BROKEN_BURNISH + RUN, *arguments, timeout=TIMEOUT)
     assert result.returncode == 0 and list(rows_of(tmp_path, 1)) == ["Cycles 4 spp", "Cycles 8 spp"]
     assert "Truth" not in "".join(line for line in result.stdout.splitlines() if line.startswith("["))
 
@@ -243,9 +243,9 @@ addon.unregister()
 """
 
 
-def test_parts_of_a_render_add_up(tmp_path: Path, run_python: Run) -> None:
+def test_parts_of_a_render_add_up(tmp_path: Path, fresh_python: Run) -> None:
     """Grow a picture of Cycles by samples, and take it with and without denoising out of one render."""
-    result = run_python(SUBSETS, CORNELL, tmp_path, timeout=TIMEOUT)
+    result = fresh_python(SUBSETS, CORNELL, tmp_path, timeout=TIMEOUT)
     assert result.returncode == 0, result.stdout + result.stderr
     lines = [line.split() for line in result.stdout.splitlines()]
     found = {line[0]: float(line[1]) for line in lines if line and line[0] in ("GROWN", "PLAIN", "DENOISED", "AGAIN")}
@@ -279,9 +279,9 @@ for run in (crash, hang, work):
 """
 
 
-def test_eevee_without_a_context_is_a_sentence(tmp_path: Path, run_python: Run) -> None:
+def test_eevee_without_a_context_is_a_sentence(tmp_path: Path, fresh_python: Run) -> None:
     """Try EEVEE in a process of its own and say what became of it: a crash, a hang, or the card it runs on."""
-    result = run_python(PROBES, tmp_path, timeout=TIMEOUT)
+    result = fresh_python(PROBES, tmp_path, timeout=TIMEOUT)
     says = [line.removeprefix("SAYS ") for line in result.stdout.splitlines() if line.startswith("SAYS ")]
     assert len(says) == 3, result.stdout + result.stderr
     assert "needs a graphics driver" in says[0] and "rasterizes on the processor" in says[1] and says[2] == "Fast Card"

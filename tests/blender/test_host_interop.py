@@ -38,23 +38,23 @@ print("done")
 
 
 @pytest.mark.gpu
-def test_cuda_writes_blenders_textures(run_python):
+def test_cuda_writes_blenders_textures(fresh_python):
     """Write pictures of several sizes into Blender's textures and read the same pixels back through OpenGL."""
-    result = run_python(SCRIPT)
+    result = fresh_python(SCRIPT)
     print(result.stdout)
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 
-def test_no_sharing_without_cuda(run_python):
+def test_no_sharing_without_cuda(fresh_python):
     """Fall back quietly on a processor."""
-    result = run_python("import bpy\nfrom burnish.addon import gl_interop\nassert not gl_interop.probe('cpu')\n"
+    result = fresh_python("import bpy\nfrom burnish.addon import gl_interop\nassert not gl_interop.probe('cpu')\n"
                         "print('done')")
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 
-def test_gl_name_of_a_texture(run_python):
+def test_gl_name_of_a_texture(fresh_python):
     """Find OpenGL's name of a Blender texture, different for two, wherever there is a GL context."""
-    result = run_python("""
+    result = fresh_python("""
 import bpy, gpu
 try:
     gpu.init()

@@ -16,17 +16,17 @@ def snapshot():
 """
 
 
-def run(run_python, script: str):
+def run(fresh_python, script: str):
     """Run a script and check that it ends well."""
-    result = run_python(SNAPSHOT + script + "\nprint('done')")
+    result = fresh_python(SNAPSHOT + script + "\nprint('done')")
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
     assert "Error" not in result.stderr, result.stderr
     return result
 
 
-def test_unregister_leaves_nothing(run_python):
+def test_unregister_leaves_nothing(fresh_python):
     """Leave no class, property, handler or panel behind, twice in a row."""
-    run(run_python, """
+    run(fresh_python, """
 before = snapshot()
 for _ in range(2):
     burnish.register()
@@ -37,9 +37,9 @@ for _ in range(2):
 """)
 
 
-def test_engine_can_be_chosen(run_python):
+def test_engine_can_be_chosen(fresh_python):
     """Offer the engine, and survive its removal while a scene uses it."""
-    run(run_python, """
+    run(fresh_python, """
 burnish.register()
 bpy.context.scene.render.engine = 'BURNISH'
 burnish.unregister()
@@ -49,9 +49,9 @@ burnish.unregister()
 """)
 
 
-def test_properties_agree_with_the_settings(run_python):
+def test_properties_agree_with_the_settings(fresh_python):
     """Give every setting a property with its default, range and help; read back as the settings' defaults."""
-    run(run_python, """
+    run(fresh_python, """
 import enum
 from dataclasses import fields, is_dataclass
 from burnish.engine.settings import RenderSettings
@@ -93,9 +93,9 @@ burnish.unregister()
 """)
 
 
-def test_all_panels_name_real_properties(run_python):
+def test_all_panels_name_real_properties(fresh_python):
     """Draw every panel over a recording layout: each property and operator that a panel names exists."""
-    run(run_python, """
+    run(fresh_python, """
 from types import SimpleNamespace
 burnish.register()
 from burnish import ui
@@ -175,9 +175,9 @@ burnish.unregister()
 """)
 
 
-def test_presets_set_the_scene(run_python):
+def test_presets_set_the_scene(fresh_python):
     """Apply each preset and recognise it; give viewports one of their own."""
-    run(run_python, """
+    run(fresh_python, """
 from burnish.engine.presets import PRESETS, apply_preset
 from burnish.engine.settings import Preset, RenderSettings
 burnish.register()
@@ -201,9 +201,9 @@ burnish.unregister()
 """)
 
 
-def test_select_and_diagnostics_operators(run_python):
+def test_select_and_diagnostics_operators(fresh_python):
     """Select all users of a reported material; diagnostics name the versions."""
-    run(run_python, """
+    run(fresh_python, """
 burnish.register()
 bpy.ops.mesh.primitive_cube_add()
 cube = bpy.context.object
@@ -224,7 +224,7 @@ burnish.unregister()
 """)
 
 
-def test_preferences_choose_the_kernel_cache(run_python, tmp_path):
+def test_preferences_choose_the_kernel_cache(fresh_python, tmp_path):
     """Pass the preferences' folder on to Warp when it is set, and again when Burnish is switched on."""
     script = """
 import os
@@ -245,20 +245,20 @@ burnish.register()
 assert kernel_cache.chosen_folder() == folder
 burnish.unregister()
 """
-    result = run_python(SNAPSHOT + script + "\nprint('done')", tmp_path)
+    result = fresh_python(SNAPSHOT + script + "\nprint('done')", tmp_path)
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 
-def test_importing_the_engine_loads_no_bpy(run_python):
+def test_importing_the_engine_loads_no_bpy(fresh_python):
     """Import the package and its engine without bpy."""
-    result = run_python("import sys, burnish, burnish.addon, burnish.engine.session\n"
+    result = fresh_python("import sys, burnish, burnish.addon, burnish.engine.session\n"
                         "assert 'bpy' not in sys.modules; print('done')")
     assert result.stdout.strip() == "done", result.stderr
 
 
-def test_registering_loads_no_warp(run_python):
+def test_registering_loads_no_warp(fresh_python):
     """Register quickly: Warp and OpenImageIO are loaded by the first render only."""
-    run(run_python, """
+    run(fresh_python, """
 import sys
 burnish.register()
 assert "warp" not in sys.modules and "OpenImageIO" not in sys.modules

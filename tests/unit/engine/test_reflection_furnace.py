@@ -27,7 +27,7 @@ def test_white_balls(kinds):
     if "glass" in kinds:
         check(glossy_checks.white_balls(GLASS, kinds, 128))
     else:
-        check(glossy_checks.white_balls(SMALL, kinds, 64))
+        check(glossy_checks.white_balls(SMALL, kinds, 96))
 
 
 def test_rough_glass_lets_all_light_out():
