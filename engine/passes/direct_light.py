@@ -23,7 +23,6 @@ from ...kernels.direct_reservoir import DirectOptions, Reservoirs
 from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
-from ...kernels.reflection_types import LOBE_REFLECTION
 from ...kernels.reprojection import Reprojection
 from ...kernels.types import Scene
 from ..clear_glass import passes_glass
@@ -35,6 +34,7 @@ from ..settings import DirectLightSettings, ReflectionSettings
 from ..shadow_rays import make_options, make_shadow_rays
 from ..work_list import make_queue, make_work_list, one_number
 from .layer_rays import record_shadows
+from .ray_scene import reflection_options
 
 __all__ = ["DirectLightPass", "has_lights", "no_light"]
 
@@ -245,10 +245,5 @@ class DirectLightPass:
         options.full = int(any(self._rays_for))
         options.rays = int(self.reflections is not None)
         if self.reflections is not None:
-            options.reflection.width, options.reflection.height = self.width, self.height
-            options.reflection.lobe = int(LOBE_REFLECTION)
-            options.reflection.traced = self.reflections.roughness_traced
-            options.reflection.weak = min(self.reflections.roughness_weak, self.reflections.roughness_traced)
-            options.reflection.diffuse = self.reflections.roughness_diffuse
-            options.reflection.blend = self.reflections.roughness_blend
+            options.reflection = reflection_options(self.reflections, self.width, self.height)
         return options

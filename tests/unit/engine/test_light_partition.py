@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
+from burnish.engine.passes.ray_scene import reflection_options
 from burnish.engine.settings import ReflectionSettings
 from burnish.kernels.gbuffer import GBuffer, load_material, load_surface, view_direction
 from burnish.kernels.intersect import MISS, closest_hit
@@ -70,10 +71,7 @@ def trace_share(
 
 def ray_share_of(frames, settings):
     """Return what reflection rays bring of the lights, float64 [h, w, 3]."""
-    options = ReflectionOptions()
-    options.width = frames.size
-    options.traced, options.weak = settings.roughness_traced, min(settings.roughness_weak, settings.roughness_traced)
-    options.diffuse, options.blend = settings.roughness_diffuse, settings.roughness_blend
+    options = reflection_options(settings, frames.size, frames.size)
     light = wp.zeros(frames.size**2, dtype=wp.vec3, device=frames.device)
     wp.launch(trace_share, frames.size**2,
               [frames.views.array, frames.scene.scene, frames.gbuffer.current(frames.views.parity), options, SAMPLES],
