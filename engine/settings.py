@@ -276,8 +276,8 @@ class ReflectionSettings:
         0.5, "Roughness up to which reflections are traced with rays; the paper's r_rt. Rougher ones are looked up in "
         "the probes: higher is sharper and more exact, for more rays", low=0.0, high=1.0)
     roughness_weak: float = setting(
-        0.25, "The same for weak reflections, such as of wood and plastic seen from above: higher is sharper, for many "
-        "rays that add little to the picture", low=0.0, high=1.0)
+        0.25, "Roughness up to which weak reflections are traced with rays, such as of wood and plastic seen from "
+        "above: higher is sharper, for many rays that add little to the picture", low=0.0, high=1.0)
     roughness_diffuse: float = setting(
         0.6, "Roughness from which diffuse light stands in for reflections; the paper's r_diffuse. Lower saves time "
         "on rough surfaces and blurs them more", low=0.0, high=1.0)
