@@ -24,7 +24,6 @@ from typing import NoReturn
 
 __all__ = ["ScriptServer"]
 
-TESTS = Path(__file__).resolve().parent
 POLL = 0.005
 """Seconds between two looks whether a script has ended"""
 
@@ -32,7 +31,9 @@ POLL = 0.005
 class ScriptServer:
     """Starts the process when it is needed, once, and again should it have died."""
 
-    def __init__(self) -> None:
+    def __init__(self, start: str) -> None:
+        """Make a server; `start`: code that the process and each script begin with (conftest.SCRIPT_START)."""
+        self._start = start
         self._process: subprocess.Popen | None = None
 
     def run(self, script: str, *arguments: object, timeout: float) -> subprocess.CompletedProcess:
@@ -43,7 +44,7 @@ class ScriptServer:
             RuntimeError: The server itself has ended.
         """
         with tempfile.TemporaryDirectory() as folder:
-            words = list(map(str, arguments))
+            script, words = self._start + script, list(map(str, arguments))
             answer = self._ask({"script": script, "arguments": words, "timeout": timeout, "folder": folder})
             output, errors = (Path(folder, name).read_text(errors="replace") for name in ("output", "errors"))
         command = [sys.executable, "-c", script, *words]
@@ -54,8 +55,7 @@ class ScriptServer:
     def _ask(self, request: dict) -> dict:
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(TESTS)!r}); import script_server\n"
-                 "script_server.serve()"],
+                [sys.executable, "-c", self._start + "import script_server; script_server.serve()"],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
@@ -85,7 +85,6 @@ def serve() -> None:
 
 def _load() -> None:
     """Load what most scripts do, but Blender."""
-    import conftest  # noqa: F401 - makes `burnish` this checkout
     from burnish.engine.device import load_module, start_warp
     from burnish.engine.warmup import FIRST_MODULES
 

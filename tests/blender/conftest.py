@@ -41,10 +41,10 @@ def run_python(
     if device != "cpu" or not hasattr(os, "fork"):
         yield fresh_python
         return
-    server = ScriptServer()
+    server = ScriptServer(SCRIPT_START)
 
     def run(script: str, *arguments: object, timeout: float = BLENDER_TIMEOUT) -> subprocess.CompletedProcess:
-        return server.run(SCRIPT_START + script, *arguments, timeout=timeout)
+        return server.run(script, *arguments, timeout=timeout)
 
     yield run
     server.close()

@@ -48,7 +48,7 @@ def test_cuda_writes_blenders_textures(fresh_python):
 def test_no_sharing_without_cuda(fresh_python):
     """Fall back quietly on a processor."""
     result = fresh_python("import bpy\nfrom burnish.addon import gl_interop\nassert not gl_interop.probe('cpu')\n"
-                        "print('done')")
+                          "print('done')")
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 

@@ -252,7 +252,7 @@ burnish.unregister()
 def test_importing_the_engine_loads_no_bpy(fresh_python):
     """Import the package and its engine without bpy."""
     result = fresh_python("import sys, burnish, burnish.addon, burnish.engine.session\n"
-                        "assert 'bpy' not in sys.modules; print('done')")
+                          "assert 'bpy' not in sys.modules; print('done')")
     assert result.stdout.strip() == "done", result.stderr
 
 
