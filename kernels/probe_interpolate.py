@@ -21,7 +21,7 @@ from .probe_map import CORRECTION_COSINE, COSINE_1, COSINE_2, cell_of, to_local
 from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER, RECORD_NORMAL, WorldBands, world_basis
 from .probe_spawn import LAYER_SHARE, SEPARATION, probe_cell, surface_distance
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
-from .view import View
+from .view import View, film_centre
 from .wide_loads import load_piece, load_view
 from .wide_stores import store_vec4h
 
@@ -92,8 +92,9 @@ def bare_place(view: View, grid: ProbeGrid, s: Surface, pixel: int) -> Place:
     """Return where a pixel lies: what `record_weight` needs."""
     p = Place()
     p.surface = s
-    p.x = float(view.camera.crop_x + pixel % grid.width) + 0.5
-    p.y = float(view.camera.crop_y + pixel // grid.width) + 0.5
+    centre = film_centre(view, grid.width, pixel)
+    p.x = centre[0]
+    p.y = centre[1]
     p.cell = probe_cell(view, s.depth)
     return p
 

@@ -16,7 +16,7 @@ from .packing import unpack_normal
 from .probe_gather import neighbour_tile
 from .probe_spawn import claim_slot, on_surface, separated
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
-from .view import View, project, settling_frames
+from .view import View, film_centre, project, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -66,8 +66,7 @@ def is_served(
     """
     seed = tiles.seed[tile]
     s = load_surface(view, gbuffer, grid.width, seed)
-    x = float(view.camera.crop_x + seed % grid.width) + 0.5
-    y = float(view.camera.crop_y + seed // grid.width) + 0.5
+    centre = film_centre(view, grid.width, seed)
     sides = int(0)
     i = int(0)
     while i < 9:
@@ -80,9 +79,10 @@ def is_served(
             position = pool.position[slot]
             if on_surface(view, s, position, unpack_normal(pool.normal[slot])):
                 film = project(view.camera, position)
-                if wp.max(wp.abs(film[0] - x), wp.abs(film[1] - y)) < SERVED_REACH:
+                if wp.max(wp.abs(film[0] - centre[0]), wp.abs(film[1] - centre[1])) < SERVED_REACH:
                     if not separated(pool, slot, s.position):
-                        sides = sides | (1 << (wp.where(film[0] < x, 1, 0) + wp.where(film[1] < y, 2, 0)))
+                        side = wp.where(film[0] < centre[0], 1, 0) + wp.where(film[1] < centre[1], 2, 0)
+                        sides = sides | (1 << side)
     return (sides & 9) == 9 or (sides & 6) == 6
 
 

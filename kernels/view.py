@@ -53,6 +53,13 @@ def film_position(view: View, x: int, y: int) -> wp.vec2:
 
 
 @wp.func
+def film_centre(view: View, width: int, pixel: int) -> wp.vec2:
+    """Return where on the film the centre of a pixel is [px], in a picture of such a width."""
+    return wp.vec2(
+        float(view.camera.crop_x + pixel % width) + 0.5, float(view.camera.crop_y + pixel // width) + 0.5)
+
+
+@wp.func
 def previous_film_position(view: View, x: int, y: int) -> wp.vec2:
     """Return where the camera ray of the frame before went through [px]."""
     return wp.vec2(
