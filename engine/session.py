@@ -37,7 +37,7 @@ from .scene import CameraData, SceneDelta
 from .session_stats import SessionStats
 from .setting_changes import Change, change_since
 from .settings import Integrator, RenderSettings
-from .staging import PictureInbox
+from .staging import PicturePages
 from .warmup import warm_up
 
 __all__ = ["DENOISED", "PASSES", "Session"]
@@ -79,7 +79,7 @@ class Session:
         self._scene = DeviceScene(self.device)
         self._pass = ReferencePass(self.device)
         self._film: FilmBuffers | None = None
-        self._inbox = PictureInbox()
+        self._pages = PicturePages()
         self._frame: np.ndarray | None = None
         self._key: tuple = ()
         self._camera: CameraData | None = None
@@ -314,9 +314,9 @@ class Session:
         if not (name == "Combined" or channels or is_light_pass(name) or (name in PASSES and self._film.passes)):
             raise KeyError(name)
         start, (width, height) = time.perf_counter(), self._size[2][2:]
-        picture = self._read_flat(name).reshape(height, width, channels or PASSES.get(name, 3))
+        flat = self._pages.read(self.resolve()) if name == "Combined" else np.array(self._read_pass(name), np.float32)
         self.stats.times["read"] = time.perf_counter() - start
-        return np.array(picture, np.float32, order="C")
+        return flat.reshape(height, width, channels or PASSES.get(name, 3))
 
     def resolve(self) -> wp.array:
         """Return the Combined picture on the device: vec4 [h * w], valid until the next call."""
@@ -355,15 +355,13 @@ class Session:
             run = partial(self.denoiser.run, library, self.guides(), (width, height),
                           clean=self._camera.aperture_radius <= 0.0, transparent=self.settings.film.transparent)
             if self._pass.catchers is None:
-                denoised = run(traced=traced, picture=picture).numpy()
+                denoised = self._pages.read(run(traced=traced, picture=picture))
             else:
-                denoised = self._pass.catchers.denoise(run, self.resolve()).numpy()
+                denoised = self._pages.read(self._pass.catchers.denoise(run, self.resolve()))
         self.stats.times["denoise"] = time.perf_counter() - start
-        return np.ascontiguousarray(denoised.reshape(height, width, 4), np.float32)
+        return denoised.reshape(height, width, 4)
 
-    def _read_flat(self, name: str) -> np.ndarray:
-        if name == "Combined":
-            return self._inbox.read(self.resolve())
+    def _read_pass(self, name: str) -> np.ndarray:
         if name == SHADOW_CATCHER:
             return shadow_pass(self._pass.catchers, self._film.film).numpy()
         if is_light_pass(name):

@@ -14,13 +14,16 @@ import weakref
 import numpy as np
 import warp as wp
 
-__all__ = ["PictureInbox", "PicturePages", "RowWriter", "StagedRow", "overwrite"]
+__all__ = ["PicturePages", "RowWriter", "StagedRow", "overwrite"]
 
 AHEAD = 2
 """Frames that may be on their way while the host writes the next one"""
 
 HALVES = 2
 """Of the memory that rows pass through: while what one held is on its way the host writes into the other"""
+
+SPARE = 1
+"""Pages of pictures that nobody looks at any more and are kept beside the one that is read into"""
 
 PAGE_ROWS = 1024
 """Rows of an array that are sent at once"""
@@ -133,32 +136,12 @@ class StagedRow:
             self._next = (place + 1) % len(self._pages)
 
 
-class PictureInbox:
-    """Where a device's pictures arrive on the host.
-
-    The driver copies into memory that may be paged through buffers of its own, and pages that are new cost as much
-    again: a picture of 1920 x 1080 took 29 ms.
-    """
-
-    def __init__(self) -> None:
-        self._page: wp.array | None = None
-
-    def read(self, picture: wp.array) -> np.ndarray:
-        """Return what an array holds, valid until the next call; waits for the device."""
-        if not picture.device.is_cuda:
-            return picture.numpy()
-        if self._page is None or (self._page.shape, self._page.dtype) != (picture.shape, picture.dtype):
-            self._page = wp.empty(picture.shape, dtype=picture.dtype, device="cpu", pinned=True)
-        wp.copy(self._page, picture)
-        wp.synchronize_stream(wp.get_stream(picture.device))
-        return self._page.numpy()
-
-
 class PicturePages:
     """Pictures that arrive on the host and stay as they are while anybody looks at them.
 
     A page is used again once nobody holds what was read into it: a copy into memory that is new each time would take
-    longer than the way from the device.
+    longer than the way from the device. The driver copies into memory that may be paged through buffers of its own,
+    and pages that are new cost as much again: a picture of 1920 x 1080 took 29 ms.
     """
 
     def __init__(self) -> None:
@@ -166,16 +149,18 @@ class PicturePages:
 
     def read(self, picture: wp.array) -> np.ndarray:
         """Return what an array holds, the caller's to keep; waits for the device."""
-        self._pages = [pair for pair in self._pages if _alike(pair[0], picture)]
-        free = next((page for page, seen in self._pages if seen() is None), None)
-        page = wp.empty(picture.shape, dtype=picture.dtype, device="cpu",
-                        pinned=picture.device.is_cuda) if free is None else free
+        alike = [pair for pair in self._pages if _alike(pair[0], picture)]
+        free = [page for page, seen in alike if seen() is None]
+        page = free.pop() if free else wp.empty(
+            picture.shape, dtype=picture.dtype, device="cpu", pinned=picture.device.is_cuda)
         wp.copy(page, picture)
         if picture.device.is_cuda:
             wp.synchronize_stream(wp.get_stream(picture.device))
         # A new one each time; all views of it hold it.
         values = page.numpy()
-        self._pages = [pair for pair in self._pages if pair[0] is not page] + [(page, weakref.ref(values))]
+        spare = {id(other) for other in free[:SPARE]}
+        left = [pair for pair in alike if pair[0] is not page and (pair[1]() is not None or id(pair[0]) in spare)]
+        self._pages = [*left, (page, weakref.ref(values))]
         return values
 
 

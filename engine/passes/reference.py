@@ -36,7 +36,7 @@ from ...kernels.paths import Options
 from ...kernels.types import Scene
 from ...kernels.volume_grids import Volumes
 from ..clear_glass import path_scene
-from ..device import launch, run_bands
+from ..device import launch, run_bands, thread_count
 from ..lean import LeanPrograms
 from ..report import Report, ReportKind
 from ..structures import is_flat
@@ -53,7 +53,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
 
-CPU_BAND_PATHS = 4096
+CPU_BAND_PATHS = 4096, 16384
+"""Fewest and most of a band on the processor: a round has its launches whatever its size, and a cancel waits for it"""
+CPU_BANDS = 4
+"""Of them for each thread, where that leaves the fewest: threads wait for the last ones"""
 CUDA_BATCH_PATHS = 1 << 22
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
@@ -68,10 +71,6 @@ BACKGROUND_DEPTH = 1e10
 
 # Not a limit of the integrator: roulette ends every path long before, unless a scene keeps all light for ever.
 BOUNCE_STOP = 4096
-
-
-def _vectors(count: int, dtype: type, device: str) -> wp.array:
-    return wp.zeros(count, dtype=dtype, device=device)
 
 
 @dataclass
@@ -92,19 +91,19 @@ class FilmBuffers:
         """Allocate a cleared film; `light_passes`: names of passes of light, as of is_light_pass."""
         buffers = film.Film()
         extra = pixel_count if passes else 1
-        buffers.color = _vectors(pixel_count, wp.vec4, device)
-        buffers.color_rest = _vectors(pixel_count, wp.vec4, device)
-        buffers.squares = _vectors(pixel_count, float, device)
-        buffers.samples = _vectors(pixel_count, int, device)
+        buffers.color = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
+        buffers.color_rest = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
+        buffers.squares = wp.zeros(pixel_count, dtype=float, device=device)
+        buffers.samples = wp.zeros(pixel_count, dtype=int, device=device)
         # Counted as floats: Warp's sum of an array takes no integers.
-        buffers.rejected = _vectors(pixel_count, float, device)
-        buffers.overruns = _vectors(pixel_count, float, device)
+        buffers.rejected = wp.zeros(pixel_count, dtype=float, device=device)
+        buffers.overruns = wp.zeros(pixel_count, dtype=float, device=device)
         for name, dtype in (
             ("normal", wp.vec4), ("position", wp.vec4), ("uv", wp.vec4), ("depth", float), ("emission", wp.vec3),
             ("environment", wp.vec3),
         ):
-            setattr(buffers, name, _vectors(extra, dtype, device))
-        picture = _vectors(pixel_count, wp.vec4, device)
+            setattr(buffers, name, wp.zeros(extra, dtype=dtype, device=device))
+        picture = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
         return FilmBuffers(buffers, picture, pixel_count, passes, LightFilm(light_passes, pixel_count, device))
 
     def clear(self) -> None:
@@ -131,7 +130,6 @@ class FilmBuffers:
             report.add(ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there",
                        overruns)
         return report
-
 
     def read_surfaces(self, name: str, origin: np.ndarray) -> np.ndarray:
         """Return a pass of the first surfaces, Emission or Environment: float32 [h * w, channels].
@@ -187,7 +185,8 @@ class ReferencePass:
 
     def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
         """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
-        limit = CPU_BAND_PATHS
+        fewest, most = CPU_BAND_PATHS
+        limit = min(max(pixel_count // (CPU_BANDS * thread_count()), fewest), most)
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
             state = (PATH_BYTES + MEDIA_BYTES) * (1 if self.catchers is None else 2)

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import warp as wp
 from burnish.engine.staging import (
     AHEAD,
     NEAR_ROWS,
     PAGE_ROWS,
-    PictureInbox,
     PicturePages,
     RowWriter,
     StagedRow,
@@ -49,13 +50,13 @@ def test_launches_see_their_own_row(device):
 
 def test_pictures_arrive_whole(device):
     """Read pictures of several sizes and types one after the other, each as it is at that time."""
-    inbox, rng = PictureInbox(), np.random.default_rng(3)
+    pages, rng = PicturePages(), np.random.default_rng(3)
     for count, dtype, width in ((7, wp.vec4, 4), (4096, wp.vec4, 4), (4096, wp.vec3, 3), (7, wp.vec4, 4)):
         values = rng.random((count, width), dtype=np.float32)
         picture = wp.array(values, dtype=dtype, device=device)
-        np.testing.assert_array_equal(inbox.read(picture), values)
+        np.testing.assert_array_equal(pages.read(picture), values)
         picture.fill_(2.0)
-        assert (inbox.read(picture) == 2.0).all()
+        assert (pages.read(picture) == 2.0).all()
 
 
 def test_chosen_rows_are_written_and_far_ones_are_not(device):
@@ -109,3 +110,15 @@ def test_pictures_last_while_they_are_looked_at(device):
         assert (last == 9).all() and held[0].view(np.uint32).max() == 0
     assert last.ctypes.data != held[0].ctypes.data and last.ctypes.data + 3 * 32 * 4 in places
     assert (pages.read(wp.full(7, 3, dtype=wp.uint32, device=device)) == 3).all()
+
+
+def test_memory_of_many_pictures_is_given_back(device):
+    """Hold many pictures at once, then none: what the next ones are read into is memory of two of them at most."""
+    pages, picture = PicturePages(), wp.zeros(4096, dtype=wp.vec4, device=device)
+    held = [pages.read(picture) for _ in range(6)]
+    assert len({each.ctypes.data for each in held}) == 6
+    memory = [weakref.ref(each.base) for each in held]
+    held.clear()
+    places = {pages.read(picture).ctypes.data for _ in range(6)}
+    assert len(places) <= 2
+    assert sum(each() is not None for each in memory) <= 2
