@@ -50,8 +50,9 @@ BLOCK_SIZES = dict.fromkeys(
      "subsurface_walk", "media_march", "media_scatter", "media_shadows", "reflection_media",
      "volume_march", "volume_scatter", "volume_shadows", "direct_temporal",
      "antialias", "clear_tracing", "defocus_layers", "defocus_gather", "depth_of_field",
-     "reflection_upscale", "fog_blend", "fog_cells", "fog_composite", "fog_rays", "fog_samples"),
-    PATH_BLOCK)
+     "reflection_upscale", "reflection_cleanup", "reflection_atrous", "raster_resolve", "diffuse_temporal", "composite",
+     "fog_blend", "fog_cells", "fog_composite", "fog_rays", "fog_samples"),
+    PATH_BLOCK) | {"reflection_temporal": 128}
 DEFAULT_BLOCK = 256
 
 SIDE_BY_SIDE = (1, 19)

@@ -293,7 +293,7 @@ def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: i
     return MOTION_SAMPLES * known * known
 
 
-@wp.kernel(cuda_max_registers=64)
+@wp.kernel(cuda_max_registers=56)
 def antialias(
     first: int,
     # In:

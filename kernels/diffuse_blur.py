@@ -131,7 +131,7 @@ def row_mean(rows: wp.array[wp.uint64], irradiance: wp.array[wp.uint64], pixel: 
     return wp.where(wp.abs(mean[3]) == BLURRED, row, mean)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=64)
 def blur_diffuse_y(
     first: int,
     # In:

@@ -140,7 +140,7 @@ def weaken(options: DirectOptions, rays: Paths, slot: int, pixel: int, light: Pa
     light.specular[pixel] = pack_halves(rgba(terms.specular, 1.0))
 
 
-@wp.kernel(cuda_max_registers=80)
+@wp.kernel(cuda_max_registers=72)
 def shade_direct(
     # In:
     first: int,

@@ -47,6 +47,9 @@ LEFT = wp.constant(-2)
 # lobe, which blurred highlights over many pixels.
 FILTER_VARIANCE = wp.constant(0.02)
 WIDENING_MAX = wp.constant(0.18)
+# Roughness from which lobes are so wide that the normals in a pixel change nothing, and over which that fades in.
+WIDENED_ROUGHNESS = wp.constant(0.6)
+WIDENED_FADE = wp.constant(0.2)
 # A footprint seen more aslant than this grows no further.
 COSINE_MIN = wp.constant(0.1)
 
@@ -102,11 +105,12 @@ def widening(frame: FrameData, geometry: Geometry, point: ShadingPoint, depth: f
 
 @wp.func
 def widened(roughness: float, added: float) -> float:
-    """Return a perceptual roughness with `added` to its alpha squared."""
+    """Return a perceptual roughness with `added` to its alpha squared, as far as that shows."""
     if not wp.isfinite(roughness):
         return 1.0
     if added > 0.0:
-        return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + added)), 1.0)
+        share = wp.clamp((WIDENED_ROUGHNESS - roughness) / WIDENED_FADE, 0.0, 1.0)
+        return wp.min(wp.sqrt(safe_sqrt(sqr(sqr(roughness)) + share * added)), 1.0)
     return roughness
 
 
@@ -135,7 +139,12 @@ def store_surface(
     if not is_finite3(normal):
         normal = point.geometric_normal
     material = SurfaceMaterial()
-    added = widening(view.camera, scene.geometry, point, depth)
+    sharpest = float(albedo.roughness)
+    if albedo.coat > 0.0:
+        sharpest = wp.min(sharpest, albedo.coat_roughness)
+    added = float(0.0)
+    if sharpest < WIDENED_ROUGHNESS:
+        added = widening(view.camera, scene.geometry, point, depth)
     material.roughness = widened(albedo.roughness, added)
     material = fit_lobe(scene.tables, albedo, cosine, material)
     material.f90 = material.f90 * mean_component(weight)

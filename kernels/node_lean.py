@@ -23,7 +23,7 @@ from .normals import valid_specular_normal
 from .reflectance import BsdfAlbedo, add_base
 from .texture import sample_texture
 from .types import CLOSURE_PRINCIPLED, Bsdf, Closure, Scene, ShadingPoint, Tables
-from .wide_loads import load_instance, load_vec4, load_vec4i
+from .wide_loads import load_constant, load_instance, load_vec4, load_vec4i
 
 __all__ = ["LeanClosure", "LeanSurface", "lean_bsdf", "lean_surface", "plain_bsdf", "run_lean", "run_lean_transparency"]
 
@@ -181,9 +181,7 @@ def fetch_lean(scene: Scene, operand: int, register: wp.vec4) -> wp.vec4:
 
     Immediates that are read as an operand do no harm.
     """
-    if operand < 0:
-        return load_vec4(scene.materials.constants, -1 - operand)
-    return register
+    return load_constant(scene.materials.constants, operand, register)
 
 
 @wp.func

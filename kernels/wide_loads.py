@@ -18,10 +18,10 @@ from .types import Geometry, Instance, Material, TextureInfo
 from .view import View
 
 __all__ = [
-    "PairOfWords", "interpolated_normal", "load_corner", "load_eight_bytes", "load_float", "load_four_floats",
-    "load_instance", "load_material_flags", "load_normal", "load_piece", "load_previous_view", "load_slab_square",
-    "load_slot", "load_square", "load_texture_info", "load_two_floats", "load_two_words", "load_uint", "load_vec2",
-    "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
+    "PairOfWords", "interpolated_normal", "load_constant", "load_corner", "load_eight_bytes", "load_float",
+    "load_four_floats", "load_instance", "load_material_flags", "load_normal", "load_piece", "load_previous_view",
+    "load_slab_square", "load_slot", "load_square", "load_texture_info", "load_two_floats", "load_two_words",
+    "load_uint", "load_vec2", "load_vec4", "load_vec4h", "load_vec4i", "load_vec4us", "load_view", "load_word",
 ]
 
 PairOfWords = wp.types.vector(length=2, dtype=wp.uint64)
@@ -56,6 +56,23 @@ _VECTOR_8 = """
 @wp.func_native(_FLOATS.replace("PIECE", "0"))
 def load_vec4(rows: wp.array[wp.vec4], index: int) -> wp.vec4:
     """Return rows[index]."""
+    ...
+
+
+@wp.func_native("""
+#ifdef __CUDA_ARCH__
+    const int row = operand < 0 ? -1 - operand : 0;
+    const float4 w = __ldg(reinterpret_cast<const float4*>(rows.data) + row);
+    return operand < 0 ? wp::vec4(w.x, w.y, w.z, w.w) : other;
+#else
+    return operand < 0 ? rows.data[-1 - operand] : other;
+#endif
+""")
+def load_constant(rows: wp.array[wp.vec4], operand: int, other: wp.vec4) -> wp.vec4:
+    """Return rows[-1 - operand] for a negative operand, else `other`.
+
+    On a GPU it is loaded in any case: a branch would let one load wait for the next.
+    """
     ...
 
 

@@ -129,13 +129,28 @@ def test_roughness_is_widened_where_normals_vary():
         assert picture["hit"][12, 12, 0] == 1
         widths.append(picture["roughness"][12, 12])
         assert abs(picture["roughness"][0, 0] - 0.1) < 1e-4
-    # Squared change of the normal over a pixel's width w on radius r: 2 (w / r)^2; alpha^2 grows by 2 sigma^2 of it.
-    near = np.sqrt(np.sqrt(0.1**4 + min(4.0 * float(FILTER_VARIANCE) * (2.0 / 25 / 0.5) ** 2, 0.18)))
+    near = np.sqrt(np.sqrt(0.1**4 + ball_widening()))
     np.testing.assert_allclose(widths, [near, np.sqrt(np.sqrt(0.1**4 + 0.18))], rtol=0.03)
 
 
+def ball_widening():
+    """Return what alpha^2 grows by at a ball's middle, 25 pixels of which are two metres."""
+    # Squared change of the normal over a pixel's width w on radius r: 2 (w / r)^2; alpha^2 grows by 2 sigma^2 of it.
+    return min(4.0 * float(FILTER_VARIANCE) * (2.0 / 25 / 0.5) ** 2, 0.18)
+
+
+def test_wide_lobes_are_widened_less_and_the_widest_not_at_all():
+    """Widen a ball of medium roughness by half of what a smooth one is, and leave a rough one as it is."""
+    for roughness, share in ((0.3, 1.0), (0.5, 0.5), (0.6, 0.0), (0.9, 0.0)):
+        delta = plane_and_ball()
+        delta.materials = {"grey": scenes.material("GLOSSY", color=0.9, roughness=roughness)}
+        picture = GBufferFrames(delta, (25, 25)).shot(scenes.camera_above(3.0, 1.0))
+        added = picture["roughness"][12, 12].astype(np.float64)**4 - roughness**4
+        np.testing.assert_allclose(added, share * ball_widening(), rtol=0.06, atol=1e-4)
+
+
 def test_coat_and_glass_are_packed():
-    """Find the coat's albedo and roughness, widened as the base's, and what glass lets through."""
+    """Find the coat's albedo and roughness, widened over a base that is not, and what glass lets through."""
     delta = plane_and_ball()
     delta.materials = lacquered_glass()
     frames = GBufferFrames(delta, (25, 25))
@@ -143,9 +158,8 @@ def test_coat_and_glass_are_packed():
     plane, ball = ({name: picture[name][i, i] for name in (
         "coat", "coat_roughness", "roughness", "specular", "transmitted", "diffuse")} for i in (0, 12))
     np.testing.assert_allclose([plane["coat_roughness"], plane["roughness"]], [0.1, 0.6], atol=1e-3)
-    added = ball["roughness"]**4 - 0.6**4
-    assert added > 1e-3
-    np.testing.assert_allclose(ball["coat_roughness"], (0.1**4 + added)**0.25, rtol=2e-3)
+    np.testing.assert_allclose(ball["roughness"], 0.6, atol=1e-3)
+    np.testing.assert_allclose(ball["coat_roughness"], (0.1**4 + ball_widening())**0.25, rtol=0.01)
     # Index 1.5 along the normal, and what the coat lets through to the base: half of it is glass.
     np.testing.assert_allclose(ball["coat"], 0.04, atol=1e-3)
     np.testing.assert_allclose(ball["specular"], 0.04 + 0.96 * 0.04, atol=0.01)
