@@ -324,6 +324,15 @@ def may_touch(edges: Edges, r: Rectangle) -> bool:
 
 
 @wp.func
+def covers_all(edges: Edges, r: Rectangle) -> bool:
+    """Return whether a triangle is seen in all of a rectangle: its weights are all positive, or all negative, there."""
+    p = extremes(edges.p, r)
+    q = extremes(edges.q, r)
+    s = extremes(edges.r, r)
+    return (wp.min(p[0], wp.min(q[0], s[0])) > 0.0) or (wp.max(p[1], wp.max(q[1], s[1])) < 0.0)
+
+
+@wp.func
 def intersection(a: Rectangle, b: Rectangle) -> Rectangle:
     """Return what two rectangles share."""
     r = Rectangle()

@@ -15,7 +15,7 @@ from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_hit, store_pri
 from .geometry_math import transform_point
 from .intersect import MISS, Hit, Layer, closer_layer, closest_instanced, static_layer
 from .pixel_order import pixel_in_blocks
-from .raster import Visibility, key_depth, key_face
+from .raster_pixels import Visibility, key_depth, key_face
 from .types import FrameData, Geometry, Scene
 from .view import View
 from .wide_bvh import meet_triangle

@@ -11,7 +11,8 @@ import warp as wp
 from ...kernels import raster, raster_resolve
 from ...kernels.gbuffer_rays import PrimaryHits
 from ...kernels.pixel_order import PIXEL_BLOCK
-from ...kernels.raster import RasterLists, Visibility
+from ...kernels.raster import RasterLists
+from ...kernels.raster_pixels import TILE, Visibility
 from ...kernels.types import FlatTriangles, Scene
 from ..flat_structure import FlatStructure
 from ..frame_graph import FrameGraph
@@ -48,6 +49,8 @@ class PrimaryRaster:
         self.seen = Visibility()
         self.seen.nearest = wp.zeros(width * height, dtype=wp.uint64, device=self.device)
         self.seen.veiled = wp.zeros(1, dtype=wp.uint8, device=self.device)
+        side = int(TILE)
+        self.seen.covers = wp.zeros(-(-width // side) * -(-height // side), dtype=int, device=self.device)
         self.veiled: WorkList | None = None
         self.lists = RasterLists()
         self.lists.records = wp.zeros(3 * self.records, dtype=wp.vec4, device=self.device)
@@ -63,6 +66,7 @@ class PrimaryRaster:
         geometry = scene.geometry
         count, in_blocks = self.width * self.height, count_in_blocks(self.width, self.height)
         graph.clear(self.seen.nearest)
+        graph.clear(self.seen.covers)
         self._record_triangles(graph, structures.opaque, geometry.flat, views, veils=False)
         if filtered:
             if self.veiled is None:
@@ -91,8 +95,6 @@ class PrimaryRaster:
         graph.launch(
             raster.raster_triangles, wide.triangle_count,
             [views, flat.triangles, wide.wholes, self.width, self.height, how], [self.lists, self.seen], banded=False)
-        threads = GROUPS * int(raster.LANES)
-        graph.launch(
-            raster.raster_blocks, threads, [views, self.width, how, GROUPS], [self.lists, self.seen], banded=False)
-        graph.launch(
-            raster.raster_tiles, threads, [views, self.width, how, GROUPS, self.lists], [self.seen], banded=False)
+        threads, drawing = GROUPS * int(raster.LANES), [views, self.width, self.height, how, GROUPS]
+        graph.launch(raster.raster_blocks, threads, drawing, [self.lists, self.seen], banded=False)
+        graph.launch(raster.raster_tiles, threads, [*drawing, self.lists], [self.seen], banded=False)

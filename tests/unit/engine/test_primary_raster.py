@@ -7,9 +7,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+import warp as wp
 from burnish.engine import wide_bvh
 from burnish.engine.hair import Strands, make_tubes
+from burnish.engine.passes.primary_raster import GROUPS
 from burnish.engine.scene import MeshData
+from burnish.kernels.raster import LANES, raster_tiles
+from burnish.kernels.raster_pixels import LARGEST_BITS
 
 from tests import scenes
 from tests.gbuffer_frames import GBufferFrames
@@ -216,3 +220,48 @@ def test_far_from_the_origin_and_hostile():
     hostile = MeshData(**{**mesh.__dict__, "positions": mesh.positions.copy()})
     hostile.positions[::30] = 1e6
     compare(one(hostile), camera(), differing=3)
+
+
+def test_what_covers_a_tile_hides_what_is_behind():
+    """Note the depth of a wall in tiles, and draw nothing in tiles that something nearer covers."""
+    wall, behind = scenes.quad(20.0), soup(300, 7, 0.7, 1.0)
+    behind.positions[:, 2] -= 3.0
+    delta = scenes.delta(
+        {"wall": wall, "behind": behind}, [("wall", np.eye(4), "grey"), ("behind", np.eye(4), "grey")], GREY)
+    frames = GBufferFrames(delta, SIZE, rasterizing=True)
+    frames.frame(camera(), np.array(JITTER))
+    raster, seen = frames.gbuffer_pass.raster, frames.gbuffer_pass.raster.seen
+    covers = seen.covers.numpy()
+    assert covers.shape == (11 * 7,)
+    # Not where the two triangles of the wall meet.
+    known = covers > 0
+    assert 0.7 < known.mean() < 1.0
+    np.testing.assert_allclose((int(LARGEST_BITS) - covers[known]).astype(np.int32).view(np.float32), 6.0, rtol=1e-5)
+    whole = seen.nearest.numpy()
+    drawn = []
+    for cover in (0, int(LARGEST_BITS) - int(np.float32(0.5).view(np.int32))):
+        seen.nearest.zero_()
+        seen.covers.fill_(cover)
+        wp.launch(
+            raster_tiles, GROUPS * int(LANES),
+            [frames.views.array, *SIZE, 0, GROUPS, raster.lists], [seen], device=frames.gbuffer_pass.device)
+        drawn.append(seen.nearest.numpy())
+    np.testing.assert_array_equal(drawn[0], whole)
+    assert not drawn[1].any()
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_walls_behind_one_another(orthographic):
+    """Draw slanted walls of many tiles each, of which nearer ones hide a part."""
+    random = np.random.default_rng(11)
+    corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], np.float32)
+    positions = []
+    for depth in np.linspace(-4.0, 3.0, 60):
+        tilt = random.normal(0.0, 0.15, 2)
+        shift = random.uniform(-7.0, 7.0, 2)
+        positions.append(corners + [*shift, depth] + [0, 0, 1] * (corners @ [*tilt, 0])[:, None])
+    count = len(positions)
+    triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(count)])
+    mesh = scenes.mesh(np.concatenate(positions).astype(np.float32), triangles)
+    hits = compare(one(mesh), camera(3.0 if orthographic else 0.6, orthographic=orthographic), differing=4)
+    assert len(np.unique(hits["hit"][:, 1])) > 8
