@@ -58,6 +58,10 @@ DEFAULT_BLOCK = 256
 SIDE_BY_SIDE = (1, 19)
 """Version of Warp from which modules are known to build side by side for a processor"""
 
+FUSED = "-ffp-contract=fast"
+"""Lets the processor's compiler make one instruction of a product and a sum, as CUDA's does: 2 to 5 % of a sample's
+time. By itself Warp allows it within an expression alone, and its code has one operation in each"""
+
 BAND = 4096
 """Elements for which another thread is worth its start"""
 
@@ -260,10 +264,22 @@ def load_module(name: str, device: str) -> bool:
             return True
         alone = device == "cpu" and not (loaded_modules(device) and SIDE_BY_SIDE <= _warp_version())
         with _first_load if alone else contextlib.nullcontext():
-            loaded = wp.get_module(name).load(wp.get_device(device), block_size(name, device)) is not None
+            module = wp.get_module(name)
+            if device == "cpu":
+                fuse_operations(module)
+            loaded = module.load(wp.get_device(device), block_size(name, device)) is not None
             if loaded:
                 _loaded.add(key)
     return loaded
+
+
+def fuse_operations(module: wp.Module) -> None:
+    """Add FUSED to what a module is built with for the processor; older Warps take no flags."""
+    flags = module.options.get("cpu_compiler_flags")
+    if flags is None:
+        flags = getattr(wp.config, "cpu_compiler_flags", None)
+    if flags is not None and "-ffp-contract" not in flags:
+        module.options["cpu_compiler_flags"] = f"{flags} {FUSED}".strip()
 
 
 def _warp_version() -> tuple[int, ...]:

@@ -108,7 +108,8 @@ def shoot(session: Session, frames: int, finish: Finish, should_stop: Callable[[
     stepped = time.perf_counter()
     picture = finish()
     end = time.perf_counter()
-    return Shot(picture=picture, frames=session.samples_done, seconds=end - start, finish=end - stepped)
+    # The memory that it lies in is free for the next one, which would have to wait for more of it else.
+    return Shot(picture=picture.copy(), frames=session.samples_done, seconds=end - start, finish=end - stepped)
 
 
 @dataclass(frozen=True)
@@ -156,4 +157,4 @@ def progressive_shots(
         start = time.perf_counter()
         picture = stop.finish()
         spent = max(time.perf_counter() - start, stop.finish_seconds)
-        yield Shot(picture=picture, frames=session.samples_done, seconds=elapsed + spent, finish=spent)
+        yield Shot(picture=picture.copy(), frames=session.samples_done, seconds=elapsed + spent, finish=spent)

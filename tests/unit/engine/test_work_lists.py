@@ -84,9 +84,12 @@ def values(paths, names):
 
 
 def assert_same(a, b):
-    """Compare arrays exactly."""
+    """Compare arrays: whole numbers exactly, others but for roundings, which kernels of their own may do elsewhere."""
     for name in a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+        if np.issubdtype(a[name].dtype, np.floating):
+            np.testing.assert_allclose(a[name], b[name], rtol=1e-4, atol=1e-7, err_msg=name)
+        else:
+            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
 @pytest.fixture(scope="module")
