@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from burnish.engine.environment import running_sums
+from burnish.engine.passes import reference
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
 from burnish.engine.settings import DenoiserSettings, FilmSettings, Integrator, SamplingSettings
@@ -200,16 +201,32 @@ def test_film_transparent_and_holdout():
 
 
 def test_same_seed_same_bits(monkeypatch):
-    """Render the same bits for any number of threads, and others for another seed."""
+    """Render the same bits for any number of threads and bands, and others for another seed."""
     camera = scenes.camera_above(height=0.5, half=0.3, orthographic=False)
     pictures = []
-    for threads in (1, 2):
+    for threads, paths in ((1, reference.CPU_BAND_PATHS), (2, reference.CPU_BAND_PATHS), (2, (500, 700))):
         monkeypatch.setattr("burnish.engine.device.thread_count", lambda count=threads: count)
+        monkeypatch.setattr(reference, "CPU_BAND_PATHS", paths)
         pictures.append(scenes.render(room(0.7), camera, (96, 96), 3))
-    assert (pictures[0] == pictures[1]).all()
+    assert (pictures[0] == pictures[1]).all() and (pictures[0] == pictures[2]).all()
     sampling = dataclasses.replace(scenes.SETTINGS.sampling, seed=1)
     other = dataclasses.replace(scenes.SETTINGS, sampling=sampling)
     assert (scenes.render(room(0.7), camera, (96, 96), 3, other) != pictures[0]).any()
+
+
+def test_pictures_stay_as_they_were_read():
+    """Keep pictures while further samples come in, and get the newest each time."""
+    session = Session(scenes.SETTINGS)
+    session.update(room(0.5))
+    session.configure(scenes.SETTINGS, scenes.camera_above(height=0.5, half=0.3, orthographic=False), 24, 16)
+    held, copies = [], []
+    for _ in range(4):
+        session.step(1)
+        held.append(session.read())
+        copies.append(held[-1].copy())
+    assert all((a == b).all() for a, b in zip(held, copies, strict=True))
+    assert all((a != b).any() for a, b in zip(copies, copies[1:], strict=False))
+    assert (session.read() == held[-1]).all()
 
 
 def test_cancelled_step_keeps_a_valid_picture():
