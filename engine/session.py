@@ -355,11 +355,12 @@ class Session:
             run = partial(self.denoiser.run, library, self.guides(), (width, height),
                           clean=self._camera.aperture_radius <= 0.0, transparent=self.settings.film.transparent)
             if self._pass.catchers is None:
-                denoised = self._pages.read(run(traced=traced, picture=picture))
+                denoised = run(traced=traced, picture=picture)
             else:
-                denoised = self._pages.read(self._pass.catchers.denoise(run, self.resolve()))
+                denoised = self._pass.catchers.denoise(run, self.resolve())
+            flat = self._pages.read(denoised)
         self.stats.times["denoise"] = time.perf_counter() - start
-        return denoised.reshape(height, width, 4)
+        return flat.reshape(height, width, 4)
 
     def _read_pass(self, name: str) -> np.ndarray:
         if name == SHADOW_CATCHER:

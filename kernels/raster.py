@@ -11,25 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .raster_outline import (
-    Edges,
-    Rectangle,
-    edges_of,
-    intersection,
-    load_outline,
-    may_touch,
-    pixel_bounds,
-)
-from .raster_pixels import (
-    TILE,
-    Drawing,
-    Visibility,
-    draw_four,
-    draw_rectangle,
-    drawing_of,
-    is_hidden,
-    note_cover,
-)
+from .raster_outline import Edges, Rectangle, edges_of, intersection, load_outline, may_touch, pixel_bounds
+from .raster_pixels import TILE, Drawing, Visibility, draw_four, draw_rectangle, drawing_of, is_hidden, note_cover
 from .view import View
 from .wide_bvh_edit import GONE
 from .wide_loads import load_vec4, load_vec4i, load_view

@@ -68,10 +68,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def quiet_warp() -> None:
-    """Let Warp print errors only."""
+    """Let Warp print errors only, and build kernels that tests launch by themselves as those that the engine loads."""
     import warp as wp
+    from burnish.engine.device import FUSED
 
     wp.config.log_level = wp.LOG_ERROR
+    if getattr(wp.config, "cpu_compiler_flags", None) is not None:
+        wp.config.cpu_compiler_flags += f" {FUSED}"
 
 
 @pytest.fixture(scope="session")

@@ -33,9 +33,10 @@ def test_both_machines_shade_alike():
     """Trace the same paths whether the lean machine takes most hits or the full one takes all."""
     (lean, rays), (full, full_rays) = rendered(), rendered(use_full_machine)
     assert lean.mean() > 0.1 and rays > SIZE[0] * SIZE[1] * 3
-    # But for roundings, which compilers do where they like.
-    assert np.isclose(rays, full_rays, rtol=1e-3)
-    assert np.allclose(lean, full, rtol=1e-2, atol=1e-3)
+    # But for roundings, which compilers do where they like; on CUDA they are more.
+    few = choose_device(scenes.SETTINGS.device) == "cpu"
+    assert np.isclose(rays, full_rays, rtol=0 if few else 1e-3)
+    assert np.allclose(lean, full, rtol=1e-5 if few else 1e-2, atol=1e-6 if few else 1e-3)
 
 
 def test_threads_share_a_list(monkeypatch):

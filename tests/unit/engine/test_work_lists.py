@@ -84,10 +84,11 @@ def values(paths, names):
 
 
 def assert_same(a, b):
-    """Compare arrays: whole numbers exactly, others but for roundings, which kernels of their own may do elsewhere."""
+    """Compare arrays exactly; on a processor but for roundings, which kernels of their own may do elsewhere there."""
+    rounded = choose_device(scenes.SETTINGS.device) == "cpu"
     for name in a:
-        if np.issubdtype(a[name].dtype, np.floating):
-            np.testing.assert_allclose(a[name], b[name], rtol=1e-4, atol=1e-7, err_msg=name)
+        if rounded and np.issubdtype(a[name].dtype, np.floating):
+            np.testing.assert_allclose(a[name], b[name], rtol=5e-5, atol=1e-7, err_msg=name)
         else:
             np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
