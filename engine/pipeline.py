@@ -96,6 +96,7 @@ class Pipeline:
         self.rest_gather = RestGatherPass(device)
         self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))
         self.refraction_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_TRANSMISSION))
+        self._filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
         self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
         self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
         self.composite = CompositePass(device, settings.denoiser, light_passes)
@@ -249,9 +250,8 @@ class Pipeline:
         self, graph: FrameGraph, parity: int, views: wp.array, surfaces: GBuffer, traced: ReflectionPass,
     ) -> wp.array:
         """Record denoising the samples of reflections or refraction; return their mean."""
-        filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
         with graph.section(f"{traced.title} denoising"):
-            return filters[traced].record(
+            return self._filters[traced].record(
                 graph, parity, views, surfaces, self.gbuffer.previous(parity), self.gbuffer.reprojection,
                 traced.options, traced.samples, jitter=self._settings.reflections.jitter)
 
@@ -266,7 +266,7 @@ class Pipeline:
             graph, parity, kernels_scene, views, surfaces, before, reprojection, self.split,
             filtered=scene.structures.has_filtered, textured=scene.emitters.textured, local_power=scene.local_power,
             lean_layers=scene.material_table.lean.transparency, shaped=scene.material_table.reflectors.shaped,
-            fog=fog, lengths=self.direct_denoise.history.previous(parity).length)
+            fog=fog, history=self.direct_denoise.history.previous(parity))
         with graph.section("Direct denoising"):
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
             return self.direct_denoise.record(
@@ -318,7 +318,8 @@ class Pipeline:
         for each in traced + gathering:
             with graph.branch(each.name):
                 each.record_rays(
-                    graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches)
+                    graph, parity, views, surfaces, before, matte, what, self.cache.cells(smallest), after=branches,
+                    known=self._filters[each].known(parity) if each in traced else None)
             branches += (each.name,)
         if hair := self.hair in self._recorded:
             with graph.branch(self.hair.name):

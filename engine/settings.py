@@ -263,6 +263,8 @@ class DirectLightSettings:
         "noise in one frame for some time, but noise that moves in patches: 0 is nearer to the truth", low=0, high=64)
     half_rate: bool = setting(True, "Trace every other pixel's shadow ray while something moves, in pictures of more "
         "than a million pixels: half of them, softer shadows in motion and more noise")
+    quarter_rate: bool = setting(True, "While only the camera moves, leave half of those out where the light is known "
+        "and highlights are weak: faster, for light that is as old again")
     clear_glass: bool = setting(
         True, "Let light go on behind clear glass in straight lines: lights what is behind windows and in cases, for "
         "some time where there is glass. Off: glass casts full shadows until path tracing takes over")
@@ -290,6 +292,8 @@ class ReflectionSettings:
         4, "Mirrors and panes of glass that a ray follows before the radiance cache answers, from two on three times "
         "as many in smooth glass: each shows mirrors in mirrors one deeper, and costs time only where there are some",
         low=0, high=32, soft_high=16)
+    half_rate: bool = setting(True, "While only the camera moves, trace rays for half of the pixels whose reflection "
+        "is known, rough and even, in pictures of more than a million pixels: faster, with slightly more noise")
     screen_reuse: bool = setting(
         True, "Take what the picture before shows at a ray's hit, where it shows it: less noise and fewer shadow rays, "
         "for a frame's delay")

@@ -25,6 +25,8 @@ from .direct_reservoir import (
     target,
     target_of,
 )
+from .direct_temporal import DirectHistory
+from .direct_turns import leaves_turn_out
 from .environment_split import EnvironmentSplit
 from .gbuffer import GBuffer, has_surface, load_surface
 from .light_candidate import choose, light_classes, replay
@@ -138,11 +140,13 @@ def resample_lights(
     emitters: wp.array[wp.uint64],
     options: DirectOptions,
     gbuffer: GBuffer,
+    reprojection: Reprojection,
+    history: DirectHistory,
     # Out:
     reservoirs_out: Reservoirs,
     lent_out: wp.array[float],
 ):
-    """Choose a light sample for each pixel that has one of its own."""
+    """Choose a light sample for each pixel that has one of its own; `history` is of the frame before."""
     slot = first + wp.tid()
     view = load_view(views)
     pixel = pixel_of_slot(view, options, slot)
@@ -151,7 +155,7 @@ def resample_lights(
     r = Reservoir()
     if has_sample(view, options, slot):
         surface = load_surface(view, gbuffer, options.width, pixel)
-        if has_surface(surface):
+        if has_surface(surface) and not leaves_turn_out(view, options, gbuffer, reprojection, history, slot, pixel):
             p = load_receiver(view, gbuffer, options, surface, pixel, scene.luminance)
             r = draw_candidates(
                 scene, split, options, emitters, gbuffer, pixel, p, seed_of(view, options, pixel),
@@ -249,7 +253,8 @@ def reuse_lights(
         return
     cap = float(options.candidates * options.reuse) * wp.max(1.0 - float(view.rest) / REUSE_REST, 0.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
-    if cap <= 0.0 or not has_surface(surface):
+    now = load_reservoir(reservoirs_out, pixel)
+    if cap <= 0.0 or not has_surface(surface) or now.count == 0.0:
         return
     # Independent of all before: numbers of the sequence that has decided earlier which sample stays would favour
     # samples that have already been favoured (1.6 % too much red from a textured lamp).
@@ -263,6 +268,6 @@ def reuse_lights(
     other = load_previous_receiver(view, previous_gbuffer, options, q, scene.luminance)
     r = join(
         scene, split, emitters, options, gbuffer, pixel, p, previous_gbuffer, q, other,
-        load_reservoir(reservoirs_out, pixel), before, hashed_unit(noise, wp.uint32(1)))
+        now, before, hashed_unit(noise, wp.uint32(1)))
     store_reservoir(reservoirs_out, pixel, r)
     lent_out[pixel] = r.lent

@@ -31,6 +31,10 @@ SPECULAR_MIN = wp.constant(1.0e-4)
 # Largest target and weight that are kept: products of two still fit a float.
 LARGE = wp.constant(1.0e18)
 
+# Side of the tiles [px] that slots go by, and how many slots one has of a colour of the checkerboard: a warp.
+SIDE = wp.constant(8)
+TILE_SLOTS = wp.constant(32)
+
 # Cosine that the target's specular lobe takes at least, for the view and the light.
 COSINE_FLOOR = wp.constant(0.02)
 
@@ -51,6 +55,8 @@ class DirectOptions:
     """Most candidates taken over from the frame before, in multiples of `candidates`"""
     half_rate: int
     """1: every other pixel borrows a neighbour's sample while something moves"""
+    quarter_rate: int
+    """1: while only the camera moves, half of the others do without a sample too (direct_turns.py)"""
     full: int
     """1: triangles that need a test may be in the way, or radiance of lights may be a program"""
     rays: int
@@ -103,9 +109,15 @@ class Receiver:
 
 
 @wp.func
+def tile_columns(options: DirectOptions) -> int:
+    """Return how many tiles of SIDE x SIDE pixels lie in a row."""
+    return (options.width + SIDE - 1) // SIDE
+
+
+@wp.func
 def slots_of_color(options: DirectOptions) -> int:
     """Return how many slots a colour of the checkerboard has."""
-    return ((options.width + 1) // 2) * options.height
+    return tile_columns(options) * ((options.height + SIDE - 1) // SIDE) * TILE_SLOTS
 
 
 @wp.func
@@ -113,14 +125,18 @@ def pixel_of_slot(view: View, options: DirectOptions, slot: int) -> int:
     """Return the pixel of a slot, -1 for none.
 
     Slots go through one colour of the checkerboard, then through the other; the colours swap every frame. In motion
-    only the first has samples of its own: the warps of the second have nothing to do but to end.
+    only the first has samples of its own: the warps of the second have nothing to do but to end. A warp has a tile's
+    slots: pixels that lie close together have much in common.
     """
-    half = (options.width + 1) // 2
-    color = slot // (half * options.height)
-    row = slot // half
-    y = row - color * options.height
-    x = 2 * (slot - row * half) + ((y + color + view.frame) & 1)
-    if x >= options.width:
+    count = slots_of_color(options)
+    color = slot // count
+    tile = (slot - color * count) // TILE_SLOTS
+    lane = slot % TILE_SLOTS
+    row = lane // (SIDE // 2)
+    columns = tile_columns(options)
+    y = tile // columns * SIDE + row
+    x = tile % columns * SIDE + 2 * (lane % (SIDE // 2)) + ((row + color + view.frame) & 1)
+    if x >= options.width or y >= options.height:
         return -1
     return y * options.width + x
 
@@ -128,15 +144,19 @@ def pixel_of_slot(view: View, options: DirectOptions, slot: int) -> int:
 @wp.func
 def slot_of_pixel(view: View, options: DirectOptions, pixel: int) -> int:
     """Return the slot of a pixel."""
-    half = (options.width + 1) // 2
     y = pixel // options.width
     x = pixel - y * options.width
-    return (((x + y + view.frame) & 1) * options.height + y) * half + x // 2
+    tile = y // SIDE * tile_columns(options) + x // SIDE
+    lane = y % SIDE * (SIDE // 2) + x % SIDE // 2
+    return ((x + y + view.frame) & 1) * slots_of_color(options) + tile * TILE_SLOTS + lane
 
 
 @wp.func
 def has_sample(view: View, options: DirectOptions, slot: int) -> bool:
-    """Return whether a slot has a sample and a shadow ray of its own: at rest all, in motion every other pixel."""
+    """Return whether a slot may have a sample and a shadow ray of its own: at rest all, in motion every other pixel.
+
+    Where it leaves its turn out (direct_turns.py), its reservoir stands for no candidates.
+    """
     return options.half_rate == 0 or view.rest > 0 or slot < slots_of_color(options)
 
 

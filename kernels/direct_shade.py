@@ -21,7 +21,9 @@ from .direct_reservoir import (
     pixel_of_slot,
     slot_of_pixel,
 )
+from .direct_temporal import DirectHistory
 from .direct_terms import LightTerms, light_terms, load_lit, scaled_terms
+from .direct_turns import knows_its_light
 from .environment_split import EnvironmentSplit
 from .gbuffer import (
     SURFACE_BACKFACING,
@@ -35,22 +37,19 @@ from .gbuffer import (
 from .geometry_math import max_component, normalize_or, transform_normal
 from .light_candidate import replay
 from .light_linking import kinds_lit_at, same_links
-from .long_mean import ALL_TAPS, EDIT_FRAMES, nearest_tap
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .paths import Paths
-from .reprojection import Reprojection, known_taps, tap_pixel
+from .reprojection import Reprojection
 from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
-from .view import MOVED_FRAMES, View, pixel_footprint
+from .view import View, pixel_footprint
 from .wide_loads import interpolated_normal, load_instance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 # Cosine between the normals of neighbours that may lend each other their samples.
 NEIGHBOUR_COSINE = wp.constant(0.9)
-# Frames in a pixel's mean from which on neighbours lend it nothing.
-KNOWN_FRAMES = wp.constant(4.0)
 
 
 @wp.func
@@ -79,9 +78,13 @@ def is_same_surface(view: View, options: DirectOptions, gbuffer: GBuffer, surfac
 
 @wp.func
 def choose_lender(
-    scene: Scene, view: View, options: DirectOptions, gbuffer: GBuffer, surface: Surface, pixel: int,
+    scene: Scene, view: View, options: DirectOptions, gbuffer: GBuffer, reservoirs: Reservoirs, surface: Surface,
+    pixel: int,
 ) -> int:
-    """Return one of the four neighbours that show the same surface, any as likely as its order after a random one."""
+    """Return one of the four neighbours that have a sample and show the same surface; -1: none.
+
+    Any is as likely as its order after a random one.
+    """
     x = pixel % options.width
     y = pixel // options.width
     start = int(hash_combine(pixel_seed_of(x, y, view.camera.seed), wp.uint32(view.frame)) & wp.uint32(3))
@@ -93,25 +96,11 @@ def choose_lender(
         dy = wp.where((side & 1) == 1, 2 - side, 0)
         if x + dx >= 0 and x + dx < options.width and y + dy >= 0 and y + dy < options.height:
             q = pixel + dy * options.width + dx
-            if is_same_surface(view, options, gbuffer, surface, q) and same_links(scene, gbuffer, pixel, q):
-                return q
+            if reservoirs.weight[q][1] > 0.0 and is_same_surface(view, options, gbuffer, surface, q):
+                if same_links(scene, gbuffer, pixel, q):
+                    return q
         k = k + 1
     return -1
-
-
-@wp.func
-def knows_its_light(
-    view: View, options: DirectOptions, reprojection: Reprojection, lengths: wp.array[wp.float16], pixel: int,
-) -> bool:
-    """Return whether the mean of frames before does for a pixel: of the same surface, and nothing changes."""
-    if lengths.shape[0] == 0 or view.restart == 1:
-        return False
-    if view.light_age < EDIT_FRAMES or view.moved_age < MOVED_FRAMES:
-        return False
-    if int(known_taps(reprojection, pixel)) != ALL_TAPS:
-        return False
-    position = reprojection.position[pixel]
-    return float(lengths[tap_pixel(position, nearest_tap(position), options.width)]) >= KNOWN_FRAMES
 
 
 @wp.func
@@ -127,13 +116,16 @@ def smooth_normal(scene: Scene, gbuffer: GBuffer, surface: Surface, pixel: int) 
 
 @wp.func
 def weaken(options: DirectOptions, rays: Paths, slot: int, pixel: int, light: PackedLight):
-    """Multiply a pixel's light by what its own ray found."""
+    """Multiply a pixel's light by what its own ray found; does nothing where it has left its turn out."""
     factor = factor_of(options, rays, slot)
     if factor[0] == 1.0 and factor[1] == 1.0 and factor[2] == 1.0:
         return
+    diffuse = unpack_halves(light.diffuse[pixel])
+    if diffuse[3] == 0.0:
+        return
     terms = LightTerms()
     if max_component(factor) > 0.0:
-        terms.diffuse = rgb(unpack_halves(light.diffuse[pixel]))
+        terms.diffuse = rgb(diffuse)
         terms.specular = rgb(unpack_halves(light.specular[pixel]))
         terms = scaled_terms(terms, factor)
     light.diffuse[pixel] = pack_halves(rgba(terms.diffuse, 1.0))
@@ -154,13 +146,13 @@ def shade_direct(
     lent: wp.array[float],
     rays: Paths,
     reprojection: Reprojection,
-    lengths: wp.array[wp.float16],
+    history: DirectHistory,
     # Out:
     light_out: PackedLight,
 ):
     """Write each pixel's direct light, without colours, exposed; own samples' light is there but for its shadow.
 
-    `lengths` is DirectHistory.length of the frame before; empty: no mean is kept.
+    `history` is of the frame before; without elements: no mean is kept.
     """
     slot = first + wp.tid()
     view = views[0]
@@ -175,8 +167,8 @@ def shade_direct(
     surface = load_surface(view, gbuffer, options.width, pixel)
     if has_surface(surface):
         q = int(-1)
-        if not knows_its_light(view, options, reprojection, lengths, pixel):
-            q = choose_lender(scene, view, options, gbuffer, surface, pixel)
+        if not knows_its_light(view, options, reprojection, history, pixel):
+            q = choose_lender(scene, view, options, gbuffer, reservoirs, surface, pixel)
         if q < 0:
             sampled = 0.0
         else:

@@ -100,6 +100,10 @@ def aim_shadow_rays(
         rays_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     light = LightTerms()
     r = load_reservoir(reservoirs, pixel)
+    if r.count == 0.0:
+        light_out.diffuse[pixel] = pack_halves(rgba(light.diffuse, 0.0))
+        light_out.specular[pixel] = pack_halves(rgba(light.specular, 0.0))
+        return
     surface = load_surface(view, gbuffer, options.width, pixel)
     if r.weight > 0.0 and has_surface(surface):
         point = lit_point(view, scene, gbuffer, surface, pixel)

@@ -115,7 +115,7 @@ def shape_direct(
         # shade_direct has found no lender, or asked for none.
         return
     else:
-        source = choose_lender(scene, view, options, gbuffer, surface, pixel)
+        source = choose_lender(scene, view, options, gbuffer, reservoirs, surface, pixel)
         weight = lent[source]
     factor = factor_of(options, rays, slot_of_pixel(view, options, source)) * (weight * view.exposure)
     if not max_component(factor) > 0.0:

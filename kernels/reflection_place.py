@@ -12,6 +12,7 @@ import warp as wp
 from .cache_rays import Vertices
 from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .paths import ENDED, Paths
+from .reflection_blocks import ReflectionHistory
 from .reflection_lights import ray_zone
 from .reflection_rays import (
     DIMENSION_CLASS,
@@ -21,6 +22,7 @@ from .reflection_rays import (
     sequence_index,
     sequence_seed,
 )
+from .reflection_turns import leaves_turn_out
 from .reflection_types import (
     LOBE_REFLECTION,
     NO_SAMPLE,
@@ -55,34 +57,40 @@ def place_samples(
     views: wp.array[View],
     options: ReflectionOptions,
     gbuffer: GBuffer,
+    history: ReflectionHistory,
+    matte: wp.array[wp.uint64],
     # Out:
     samples_out: ReflectionSamples,
     rays_out: ReflectionRays,
 ):
-    """Choose each block's pixel, and whether it gets a ray."""
+    """Choose each block's pixel, and whether it gets a ray; arguments as of leaves_turn_out."""
     block = first + wp.tid()
     view = views[0]
     places = options.stride * options.stride
     found = int(-1)
-    traced = bool(False)
-    coated = bool(False)
+    pixel = int(-1)
     k = int(0)
     while k < places and found < 0:
         place = place_of_frame(options.stride, view.frame + k)
         pixel = place_pixel(options, block, place)
         if pixel >= 0:
-            if gbuffer.depth[pixel] < SKY_DEPTH:
-                m = load_material(gbuffer, pixel)
-                if is_sampled(options, m):
-                    found = place
-                    coated = coat_alone(options, m)
-                    share = chance_of_ray(options, m)
-                    traced = share >= 1.0
-                    if share > 0.0 and share < 1.0:
-                        index = sequence_index(options.stride, view.frame, place)
-                        u = sample_pair(sequence_seed(view, options.width, pixel), index, DIMENSION_CLASS)
-                        traced = u[0] < share
+            if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, load_material(gbuffer, pixel)):
+                found = place
         k = k + 1
+    traced = bool(False)
+    coated = bool(False)
+    if found >= 0:
+        m = load_material(gbuffer, pixel)
+        if leaves_turn_out(view, options, gbuffer, history, matte, block, pixel, m):
+            found = -1
+        else:
+            coated = coat_alone(options, m)
+            share = chance_of_ray(options, m)
+            traced = share >= 1.0
+            if share > 0.0 and share < 1.0:
+                index = sequence_index(options.stride, view.frame, found)
+                u = sample_pair(sequence_seed(view, options.width, pixel), index, DIMENSION_CLASS)
+                traced = u[0] < share
     samples_out.place[block] = wp.where(found < 0, NO_SAMPLE, wp.uint8(found))
     samples_out.pdf[block] = 0.0
     source = SOURCE_NONE

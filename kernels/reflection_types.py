@@ -72,6 +72,8 @@ class ReflectionOptions:
     """Roughness from which the diffuse result stands in (the paper's r_diffuse)"""
     blend: float
     """Width of the zones of roughness above `traced` and below `diffuse` in which two methods blend"""
+    half_rate: int
+    """1: while only the camera moves, half of the blocks may do without a sample (reflection_turns.py)"""
 
 
 @wp.struct

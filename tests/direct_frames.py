@@ -19,7 +19,10 @@ from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import WorldData
 from burnish.engine.settings import DirectLightSettings, PixelFilter
 from burnish.engine.view_data import ViewTracker
-from burnish.kernels.packing import unpack_color
+from burnish.kernels.direct_light import DirectLight
+from burnish.kernels.direct_temporal import DirectHistory
+from burnish.kernels.gbuffer import GBuffer
+from burnish.kernels.packing import from_half, rgb, unpack_color
 
 from tests import scenes
 
@@ -27,15 +30,19 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.kernel
-def unpack_colors(
+def add_light(
     # In:
-    packed: wp.array[wp.uint32],
+    gbuffer: GBuffer,
+    light: DirectLight,
     # Out:
-    colors_out: wp.array[wp.vec3],
+    total_out: wp.array[wp.vec3d],
 ):
-    """Unpack colours of the G-buffer."""
+    """Add a frame's direct light with the surfaces' colours."""
     i = wp.tid()
-    colors_out[i] = unpack_color(packed[i])
+    diffuse = unpack_color(gbuffer.diffuse[i]) + unpack_color(gbuffer.translucent[i])
+    total_out[i] = total_out[i] + wp.vec3d(
+        wp.cw_mul(rgb(from_half(light.diffuse[i])), diffuse)
+        + wp.cw_mul(rgb(from_half(light.specular[i])), unpack_color(gbuffer.specular[i])))
 
 
 def local_power(scene):
@@ -58,7 +65,9 @@ class Frames:
         self.gbuffer = GBufferPass(self.device)
         self.direct = DirectLightPass(self.device, DirectLightSettings(**settings), reflections)
         self.direct.half_rate_pixels = 0  # small pictures as large ones
-        self.lengths = wp.zeros(size * size, dtype=wp.float16, device=self.device)
+        self.history = DirectHistory()
+        self.history.length = wp.zeros(size * size, dtype=wp.float16, device=self.device)
+        self.history.moments = wp.zeros(size * size, dtype=wp.uint64, device=self.device)
         for each in (self.gbuffer, self.direct):
             each.resize(size, size)
         self.split = split_environment(self.scene.scene, self.device)
@@ -82,7 +91,7 @@ class Frames:
                 graph, parity, scene, self.views.array, current, self.gbuffer.previous(parity),
                 self.gbuffer.reprojection, self.split, filtered=filtered, textured=self.scene.emitters.textured,
                 local_power=local_power(self.scene), lean_layers=self.scene.material_table.lean.transparency,
-                lengths=self.lengths)
+                history=self.history)
             if debug:
                 self.direct.record_debug(graph, parity, debug, self.picture)
             self.graphs.append(graph)
@@ -101,28 +110,24 @@ class Frames:
             filter_quantiles=self.quantiles)
         self.graphs[self.views.parity].replay()
 
+    def add_light(self, total):
+        """Add the frame's direct light with the surfaces' colours, exposed, to vec3d [pixels]."""
+        wp.launch(add_light, len(total), [self.gbuffer.current(self.views.parity), self.light], [total],
+                  device=self.device)
+
     def light_with_colors(self):
         """Return the frame's direct light with the surfaces' colours, float64 [h, w, 3]."""
-        gbuffer = self.gbuffer.current(self.views.parity)
-        total = 0.0
-        for light, names in ((self.light.diffuse, ("diffuse", "translucent")), (self.light.specular, ("specular",))):
-            albedo = sum(self.colors(getattr(gbuffer, name)) for name in names)
-            total = total + light.numpy().astype(np.float64)[:, :3] * albedo
-        return total.reshape(self.size, self.size, 3) / self.exposure
-
-    def colors(self, packed):
-        """Return colours of the G-buffer as numbers."""
-        colors = wp.zeros(len(packed), dtype=wp.vec3, device=self.device)
-        wp.launch(unpack_colors, len(packed), [packed], [colors], device=self.device)
-        return colors.numpy().astype(np.float64)
+        total = wp.zeros(self.size * self.size, dtype=wp.vec3d, device=self.device)
+        self.add_light(total)
+        return total.numpy().reshape(self.size, self.size, 3) / self.exposure
 
     def mean(self, frames=256, moving=True):
         """Return the average of that many frames' direct light, float64 [h, w, 3]."""
-        total = 0.0
+        total = wp.zeros(self.size * self.size, dtype=wp.vec3d, device=self.device)
         for _ in range(frames):
             self.frame(moving)
-            total = total + self.light_with_colors()
-        return total / frames
+            self.add_light(total)
+        return total.numpy().reshape(self.size, self.size, 3) / (self.exposure * frames)
 
 
 def reference(delta, camera=None, size=8, samples=1024):

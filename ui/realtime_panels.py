@@ -91,6 +91,9 @@ class BURNISH_RENDER_PT_direct_light(RealtimePanel, Panel):
         layout.prop(direct_light, "candidates")
         layout.prop(direct_light, "temporal_reuse")
         layout.prop(direct_light, "half_rate")
+        column = layout.column()
+        column.active = direct_light.half_rate
+        column.prop(direct_light, "quarter_rate")
         layout.prop(direct_light, "clear_glass")
 
 
@@ -103,6 +106,7 @@ class BURNISH_RENDER_PT_reflections(RealtimePanel, Panel):
         """Draw."""
         layout, reflections = self.split_layout(), context.scene.burnish.reflections
         layout.prop(reflections, "resolution")
+        layout.prop(reflections, "half_rate")
         layout.prop(reflections, "bounces")
         column = layout.column(align=True)
         column.prop(reflections, "roughness_traced", text="Traced up to Roughness")

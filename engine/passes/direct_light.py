@@ -19,7 +19,8 @@ from ...kernels import (
 )
 from ...kernels.direct_emitters import EMITTER_WORDS
 from ...kernels.direct_light import DirectLight, PackedLight
-from ...kernels.direct_reservoir import DirectOptions, Reservoirs
+from ...kernels.direct_reservoir import SIDE, TILE_SLOTS, DirectOptions, Reservoirs
+from ...kernels.direct_temporal import DirectHistory
 from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
@@ -62,6 +63,11 @@ def no_light(count: int, device: str) -> DirectLight:
     return black
 
 
+def slots_of(width: int, height: int) -> int:
+    """Return how many slots a picture has [px]: both colours of all tiles, whole ones at the border too."""
+    return 2 * -(-width // SIDE) * -(-height // SIDE) * TILE_SLOTS
+
+
 def light_count(scene: Scene, split: EnvironmentSplit, local_power: float) -> int:
     """Return how many lights there are to choose from; the world's excess counts as two: it has an extent."""
     lights = scene.lights
@@ -99,7 +105,7 @@ class DirectLightPass:
         """Allocate for a picture [px]."""
         self.width, self.height = width, height
         count = width * height
-        self.slots = 2 * ((width + 1) // 2) * height
+        self.slots = slots_of(width, height)
         self.reservoirs = History("direct.reservoirs", self._make_reservoirs)
         self.lent = wp.zeros(count, dtype=float, device=self.device)
         self.light = DirectLight()
@@ -109,7 +115,7 @@ class DirectLightPass:
         self._packed.diffuse = self.light.diffuse.view(wp.uint64)
         self._packed.specular = self.light.specular.view(wp.uint64)
         self._emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
-        self._no_lengths = wp.empty(0, dtype=wp.float16, device=self.device)
+        self._no_history = DirectHistory()
         self._rays_for: tuple[bool, bool] | None = None
         self._make_rays(filtered=False, programs=False)
 
@@ -150,7 +156,7 @@ class DirectLightPass:
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, *, filtered: bool,
         textured: bool, local_power: float, lean_layers: bool = False, shaped: bool = False, fog: Fog | None = None,
-        lengths: wp.array | None = None,
+        history: DirectHistory | None = None,
     ) -> DirectLight:
         """Add the launches of a frame of one parity; return its light, valid until the next frame.
 
@@ -169,7 +175,7 @@ class DirectLightPass:
             lean_layers: Whether the lean node machine runs all transparency programs (MaterialTable.lean).
             shaped: Whether there are materials that direct_shapes.py has to ask (Reflectors.shaped).
             fog: What is between surfaces and lights; None: nothing.
-            lengths: DirectHistory.length of the frame before; None: no means over frames are kept.
+            history: Means of the frame before; None: none are kept.
         """
         self._views = views
         with graph.section("Direct light"):
@@ -185,8 +191,9 @@ class DirectLightPass:
             self._make_rays(
                 filtered=filtered, programs=textured or fog is not None or passes_glass(scene))
             options = self._options(light_count(scene, split, local_power))
+            history = self._no_history if history is None else history
             self._record_samples(
-                graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options)
+                graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options, history)
         with graph.section("Direct shadows"):
             if fog is not None:
                 graph.launch(fog_rays.dim_shadow_rays, self.slots, [views, scene, fog], [self.rays])
@@ -196,10 +203,9 @@ class DirectLightPass:
                 shadows = [scene, make_options(filtered=filtered), one_number(0, self.device)]
                 graph.launch_queued(shadow_lights.shade_lights, shadows, self.queue, [self.rays])
         with graph.section("Direct light"):
-            lengths = self._no_lengths if lengths is None else lengths
             chosen = [views, scene, split, self._emitters, options, gbuffer, self.reservoirs.current(parity), self.lent,
                       self.rays]
-            graph.launch(direct_shade.shade_direct, self.slots, [*chosen, reprojection, lengths], [self._packed])
+            graph.launch(direct_shade.shade_direct, self.slots, [*chosen, reprojection, history], [self._packed])
             if shaped:
                 graph.launch(direct_shapes.shape_direct, self.slots, chosen, [self._packed])
         return self.light
@@ -207,12 +213,13 @@ class DirectLightPass:
     def _record_samples(
         self, graph: FrameGraph, parity: int, scene: Scene, views: wp.array, gbuffer: GBuffer,
         previous_gbuffer: GBuffer, reprojection: Reprojection, split: EnvironmentSplit, options: DirectOptions,
+        history: DirectHistory,
     ) -> None:
         """Add the launches that choose a light for each pixel and aim at it; arguments as of `record`."""
         now, before = self.reservoirs.current(parity), self.reservoirs.previous(parity)
         graph.launch(
             direct_candidates.resample_lights, self.slots,
-            [views, scene, split, self._emitters, options, gbuffer], [now, self.lent])
+            [views, scene, split, self._emitters, options, gbuffer, reprojection, history], [now, self.lent])
         if options.reuse > 0:
             graph.launch(
                 direct_candidates.reuse_lights, self.slots,
@@ -242,6 +249,7 @@ class DirectLightPass:
         options.candidates = max(min(self.settings.candidates, lights), 1)
         options.reuse = self.settings.temporal_reuse if lights > self.settings.candidates else 0
         options.half_rate = int(self.settings.half_rate and self.width * self.height > self.half_rate_pixels)
+        options.quarter_rate = options.half_rate * int(self.settings.quarter_rate)
         options.full = int(any(self._rays_for))
         options.rays = int(self.reflections is not None)
         if self.reflections is not None:

@@ -169,6 +169,10 @@ class ReflectionDenoisePass:
             [history])
         return history.light
 
+    def known(self, parity: int) -> ReflectionHistory | None:
+        """Return the means of the frame before one of this parity; None where none are kept."""
+        return self.history.previous(parity) if self.settings.reflection_temporal else None
+
     def mirrors(self, parity: int, gbuffer: GBuffer) -> Mirrors:
         """Return what a frame of this parity knows of how long mirrors have shown what they show; as of record()."""
         mirrors = Mirrors()

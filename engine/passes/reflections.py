@@ -41,6 +41,7 @@ from ...kernels.cache_rays import Vertices
 from ...kernels.composite import Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
+from ...kernels.reflection_blocks import ReflectionHistory
 from ...kernels.reflection_rays import GATHERED, REFLECTED, REFRACTED, ReflectionRays
 from ...kernels.reflection_types import (
     LOBE_DIFFUSE,
@@ -51,6 +52,7 @@ from ...kernels.reflection_types import (
 from ..clear_glass import passes_glass
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
+from ..ray_budget import HALF_RATE_PIXELS
 from ..settings import ReflectionSettings
 from ..structures import decides_layers, is_flat
 from ..work_list import WorkList, make_queue, make_work_list
@@ -106,6 +108,7 @@ class ReflectionPass:
         self.name, self.title, self.reflection, self._start = LOBES[self.lobe]
         names = DEBUG_CHANNELS if self.lobe == int(LOBE_REFLECTION) else ()
         self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
+        self.half_rate_pixels = HALF_RATE_PIXELS
         self.width = self.height = 0
         self._room: tuple | None = None
 
@@ -118,6 +121,7 @@ class ReflectionPass:
         """Allocate the samples for a picture of that size [px]; rays get room once they are recorded."""
         self.width, self.height = width, height
         self.options = reflection_options(self.settings, width, height, self.lobe)
+        self.options.half_rate = int(self.settings.half_rate and width * height > self.half_rate_pixels)
         self.blocks = self.options.columns * self.options.rows
         self.samples = self._fill(ReflectionSamples(), SAMPLE_ARRAYS, self.blocks)
         self.rays = ReflectionRays()
@@ -154,6 +158,7 @@ class ReflectionPass:
     def record_rays(
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous: GBuffer,
         previous_matte: wp.array, what: RayScene, grid: HashGrid, *, after: tuple[str, ...] = (),
+        known: ReflectionHistory | None = None,
     ) -> None:
         """Record choosing the pixels and tracing rays; comes before the cache's frame, which takes in their light.
 
@@ -167,7 +172,9 @@ class ReflectionPass:
             what: The scene.
             grid: The radiance cache's cells, ready for this scene.
             after: Branches of the graph that make cells before, where their order is to be fixed.
+            known: Means of the frame before, None without: blocks whose means do for them leave turns out.
         """
+        self._before = known or ReflectionHistory(), previous_matte
         lit = what.scene.lights.class_count > 0 and self.settings.hit_lighting
         self._fit(what.filtered, what.glossy and lit and self.lobe != int(LOBE_DIFFUSE))
         self._gbuffer[parity], self._grid, self._views = gbuffer, grid, views
@@ -219,7 +226,8 @@ class ReflectionPass:
     def _record_places(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
         """Record choosing the pixels."""
         graph.launch(
-            reflection_place.place_samples, self.blocks, [views, self.options, gbuffer], [self.samples, self.rays])
+            reflection_place.place_samples, self.blocks,
+            [views, self.options, gbuffer, *self._before], [self.samples, self.rays])
 
     def _record_directions(self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer, what: RayScene) -> None:
         """Record drawing the rays' first directions."""

@@ -137,6 +137,7 @@ def test_shadows(blocked, name):
     np.testing.assert_allclose(*blocks, atol=0.03 * expected.max())
 
 
+@pytest.mark.slow
 def test_curved_surface():
     """Give the path tracer's light on a sphere, its terminator included, at half rate and full."""
     delta = scenes.delta({"ball": scenes.sphere(0.45, 24)}, [("ball", np.eye(4), "grey")], GREY,
@@ -283,14 +284,14 @@ def test_pixels_alone_have_no_sample_in_motion():
 
 def test_neighbours_lend_nothing_to_known_pixels():
     """Leave pixels without a sample to the mean of frames before where there is one, and to neighbours elsewhere."""
-    frames = Frames(lit("sun"), CAMERA)
+    frames = Frames(lit("sun"), CAMERA, quarter_rate=False)
     for _ in range(8):
         frames.frame()
     assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
     lengths = np.zeros((frames.size, frames.size))
     lengths[:, :4] = 8.0
     lengths[:, 4] = -8.0
-    frames.lengths.assign(lengths.reshape(-1).astype(np.float16))
+    frames.history.length.assign(lengths.reshape(-1).astype(np.float16))
     for _ in range(12):  # until nothing has moved for long enough
         frames.frame(turning=True)
     w = frames.light.diffuse.numpy()[:, 3].reshape(lengths.shape)
@@ -298,12 +299,49 @@ def test_neighbours_lend_nothing_to_known_pixels():
     np.testing.assert_array_equal((w == 1.0)[1:-1], (own_samples(frames) | (lengths <= 0.0))[1:-1])
 
 
+@pytest.mark.parametrize("kind", ["known", "short", "bright highlights", "reuse", "moving", "full"])
+def test_known_pixels_wait(kind):
+    """Leave every other turn out, tile by tile, where light is known and highlights weak, while the camera moves alone.
+
+    Those that wait have no shadow ray, and pixels without a mean borrow from others than these.
+    """
+    size = 24
+    delta = plane([scenes.lamp("SUN", 3.0)], materials=GLOSSY if kind == "bright highlights" else GREY)
+    frames = Frames(lit("many") if kind == "reuse" else delta, CAMERA, size,
+                    temporal_reuse=2 if kind == "reuse" else 0, quarter_rate=kind != "full")
+    lengths = np.full((size, size), 3.0 if kind == "short" else 4.0)
+    lengths[:, 4] = 0.0
+    frames.history.length.assign(lengths.reshape(-1).astype(np.float16))
+    moments = np.zeros((size**2, 4), np.float16)
+    moments[:, 2:] = 1.0
+    frames.history.moments.assign(moments.view(np.uint64).reshape(-1))
+    for _ in range(20):  # until nothing has moved for long enough
+        frames.frame(turning=True)
+    tiles = np.add.outer(np.arange(size) // 8, np.arange(size) // 8)
+    sampled, waited = np.zeros((size, size)), kind in ("known", "reuse")
+    for _ in range(4):
+        frames.frame(turning=kind != "moving")
+        waits = ((tiles + frames.views.array.numpy()[0]["frame"] // 2) % 2 == 0) & (lengths >= 4.0) & waited
+        own = own_samples(frames) & ~waits
+        w = frames.light.diffuse.numpy()[:, 3].reshape(size, size) == 1.0
+        # Beside pixels without a mean one has a sample in any frame, in this tile or the next.
+        borrows = (lengths < 4.0) | (kind == "moving")
+        np.testing.assert_array_equal(w[1:-1, 1:-1] | own[1:-1, 1:-1], w[1:-1, 1:-1])
+        np.testing.assert_array_equal((w & ~borrows)[1:-1, 1:-1], (own & ~borrows)[1:-1, 1:-1])
+        assert (w | ~borrows)[1:-1, 1:-1].mean() > 0.97
+        rays = (frames.direct.rays.shadow_distance.numpy() != 0.0).sum()
+        # Of pixels at the border taps lie off the picture: their means are not known.
+        assert rays < own.sum() + 2 * size and (kind == "reuse" or rays >= own.sum())
+        sampled += own
+    np.testing.assert_array_equal(sampled[1:-1, 1:4], 1.0 if waited else 2.0)
+
+
 def test_small_pictures_have_all_samples():
     """Trace a shadow ray for every pixel of a picture below the limit, in motion too."""
     frames = Frames(lit("sun and point"), CAMERA)
     frames.direct.half_rate_pixels = frames.size**2
     frames.record()
-    frames.lengths.fill_(8.0)
+    frames.history.length.fill_(8.0)
     for _ in range(12):
         frames.frame(turning=True)
     assert (frames.light.diffuse.numpy()[:, 3] == 1.0).all()
