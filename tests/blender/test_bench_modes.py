@@ -27,6 +27,7 @@ def read(folder: Path, name: str) -> tuple[dict, str]:
     return json.loads((folder / f"{name}.json").read_text("utf-8")), (folder / f"{name}.md").read_text("utf-8")
 
 
+@pytest.mark.slow
 @plots
 def test_scaling_needs_no_scene(burnish: Burnish, tmp_path: Path) -> None:
     """Measure one sweep, tell each point, write results, table and plot."""

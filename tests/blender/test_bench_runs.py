@@ -100,6 +100,7 @@ def test_second_run_renders_only_what_failed(broken_run: tuple) -> None:
     assert "Cycles 4 spp: " in second.stdout and second.returncode == 0
 
 
+@pytest.mark.slow
 def test_wrong_reference_is_a_sentence(broken_run: tuple, fresh_python: Run) -> None:
     """Say in one sentence that a reference has another size, and go on with the next scene."""
     output = broken_run[0]
@@ -117,6 +118,7 @@ def test_wrong_reference_is_a_sentence(broken_run: tuple, fresh_python: Run) -> 
     assert "its own noise is not known" in (output / "wrong" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_interrupted_run_keeps_what_it_has(tmp_path: Path, fresh_python: Run) -> None:
     """After Ctrl-C finish the picture, report what is there, exit with 130, and go on from there the next time."""
     arguments = ("bench", CORNELL, CORNELL, "--device", "cpu", "--size", 48, 27, "--samples", "4,8", "--truth", 8,
@@ -243,6 +245,7 @@ addon.unregister()
 """
 
 
+@pytest.mark.slow
 def test_parts_of_a_render_add_up(tmp_path: Path, fresh_python: Run) -> None:
     """Grow a picture of Cycles by samples, and take it with and without denoising out of one render."""
     result = fresh_python(SUBSETS, CORNELL, tmp_path, timeout=TIMEOUT)
@@ -279,6 +282,7 @@ for run in (crash, hang, work):
 """
 
 
+@pytest.mark.slow
 def test_eevee_without_a_context_is_a_sentence(tmp_path: Path, fresh_python: Run) -> None:
     """Try EEVEE in a process of its own and say what became of it: a crash, a hang, or the card it runs on."""
     result = fresh_python(PROBES, tmp_path, timeout=TIMEOUT)

@@ -87,6 +87,7 @@ import burnish; burnish.unregister(); print("done")
 """
 
 
+@pytest.mark.slow
 def test_final_renders_have_less_noise(run_python) -> None:
     """Denoise final renders of both integrators, all passes as they were; where that fails keep the picture."""
     result = run_python(SCRIPT)

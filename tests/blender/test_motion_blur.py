@@ -328,6 +328,7 @@ def test_persistent_data_changes_nothing(square):
             square[f"persistent True {frame}"], square[f"persistent False {frame}"], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_blur_is_that_of_cycles(tmp_path, run_python):
     """Blur objects, a shape, shadows and a camera as Cycles does, with a shutter that closes slowly."""
     found = run(AGAINST_CYCLES, tmp_path, "cycles.npz", run_python)

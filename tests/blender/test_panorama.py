@@ -155,6 +155,8 @@ def pictures(run_python: Callable[..., subprocess.CompletedProcess], tmp_path_fa
     return found | {"text": result.stdout}
 
 
+pytestmark = pytest.mark.slow
+
 ENGINES = pytest.mark.parametrize(
     ("label", "name"), [("reference", name) for name in CASES] + [("realtime", name) for name in REALTIME])
 

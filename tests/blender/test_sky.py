@@ -26,6 +26,7 @@ def found(run_python: Callable) -> dict:
     return json.loads(lines[-1].removeprefix("RESULT "))
 
 
+@pytest.mark.slow
 def test_skies_look_as_in_cycles(found: dict):
     """Show the radiance of Cycles' panoramas within 1 %; the sun's disc and the fitted model within 2 %."""
     skies = found["compare_skies"]
@@ -35,11 +36,13 @@ def test_skies_look_as_in_cycles(found: dict):
     assert not wrong, wrong
 
 
+@pytest.mark.slow
 def test_skies_on_surfaces(found: dict):
     """Show a sky in a material's nodes as Cycles does."""
     assert found["compare_material"] < 0.01
 
 
+@pytest.mark.slow
 def test_suns_become_lamps(found: dict):
     """Make a lamp of a sun that the world shows undistorted, and let the camera alone see the disc then."""
     suns = found["find_suns"]
@@ -60,6 +63,7 @@ def test_suns_become_lamps(found: dict):
     np.testing.assert_allclose(1.5 * np.array(suns["by ray"]["lamp"]["color"]), plain["color"], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_other_suns_stay_in_the_picture(found: dict):
     """Show the disc to all rays, and make its sampling table fine enough, where no lamp can stand for it."""
     suns = found["find_suns"]
@@ -70,6 +74,7 @@ def test_other_suns_stay_in_the_picture(found: dict):
     assert suns["fading"]["width"] > 1500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shown_by", ["lamp", "picture"])
 def test_suns_shine_as_in_cycles(found: dict, shown_by: str):
     """Light a plane as strongly as in Cycles, within 2 %."""

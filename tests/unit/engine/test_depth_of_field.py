@@ -322,7 +322,8 @@ def test_light_passes_make_up_the_blurred_picture(resting):
     assert blur > 0.03 and np.abs(light - shown).mean() < 0.2 * blur and np.median(np.abs(light - shown)) < 2e-3
 
 
-@pytest.mark.parametrize("name", list(defocus_scenes.SCENES))
+@pytest.mark.parametrize(
+    "name", ["floor", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ball", "bulbs"))])
 def test_frames_beside_path_tracing(name):
     """Be much nearer to the path-traced picture than frames without blur, at rest and while the camera moves."""
     size = (96, 54)

@@ -214,6 +214,7 @@ def test_sky_is_its_own_albedo():
     np.testing.assert_allclose(open_session(Integrator.REFERENCE, delta=bright).guides()[0].numpy(), 1.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_limit_is_the_samples_mean(monkeypatch):
     """Whatever the denoiser makes, converge to the samples; keep a pixel that it has spoilt."""
     def spoil(value):

@@ -61,7 +61,7 @@ def light(scene, frames, **groups):
     pytest.param(BROWN, BEFORE, 0.25, id="brown", marks=pytest.mark.slow),
     pytest.param(BLACK, BEFORE, 0.4, id="black"),
     pytest.param(PALE, BEHIND, 0.5, id="pale lit from behind", marks=pytest.mark.slow),
-    pytest.param(BROWN, BEHIND, 0.7, id="brown lit from behind"),
+    pytest.param(BROWN, BEHIND, 0.7, id="brown lit from behind", marks=pytest.mark.slow),
 ])
 def test_hair_has_the_light_of_path_tracing(absorption, place, surface) -> None:
     """Bring the light that strands scatter; drawn as surfaces, hair is off by far more."""
@@ -147,6 +147,7 @@ def test_same_bits() -> None:
     np.testing.assert_array_equal(setup.picture(scene, 6), setup.picture(scene, 6))
 
 
+@pytest.mark.slow
 def test_hair_that_shines() -> None:
     """Show what black hair itself emits once, in its colour; what white hair makes of it is noise without bound."""
     made = materials(BLACK) | {"hair": hair(BLACK, COLORS[BLACK], emission=(0.2, 0.1, 0.05))}
@@ -163,6 +164,7 @@ def test_hair_mixed_with_other_shaders_stays_a_surface() -> None:
     assert "hair rays" not in session.counts()
 
 
+@pytest.mark.slow
 def test_hair_behind_a_veil() -> None:
     """Dim hair by what is half transparent before it."""
     veil = scenes.box(2.0)

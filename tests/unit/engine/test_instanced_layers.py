@@ -170,7 +170,8 @@ def test_what_moves_keeps_its_maps_and_what_is_edited_does_not(monkeypatch: pyte
     assert not decides_layers(made.scene)
 
 
-@pytest.mark.parametrize(("integrator", "samples"), [(Integrator.REFERENCE, 128), (Integrator.REALTIME, 96)])
+@pytest.mark.parametrize(("integrator", "samples"), [
+    (Integrator.REFERENCE, 128), pytest.param(Integrator.REALTIME, 96, marks=pytest.mark.slow)])
 def test_pictures_are_the_same(integrator: Integrator, samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw instanced leaves as bright as flattened ones, with both integrators, with maps and without."""
     pictures = []

@@ -81,6 +81,7 @@ def test_phases_by_age():
     assert light_phase(10**6, 10**6, moved=True) is LightPhase.SPREADING
 
 
+@pytest.mark.slow
 def test_settled_frames_keep_the_light(settled, monkeypatch):
     """Get as much light from settled frames as from those that wait for everything.
 

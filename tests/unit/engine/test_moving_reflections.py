@@ -92,8 +92,9 @@ def test_turning_mirrors_leave_no_ghosts():
 
 
 @pytest.mark.parametrize(("made", "share"), [
-    (lambda: glossy_scenes.colored_room(SIZE, metal(0.4)), 0.95),
-    (lambda: glossy_scenes.colored_room(SIZE, glossy(color=0.05, roughness=0.3)), 0.97),
+    pytest.param(lambda: glossy_scenes.colored_room(SIZE, metal(0.4)), 0.95, marks=pytest.mark.slow),
+    pytest.param(
+        lambda: glossy_scenes.colored_room(SIZE, glossy(color=0.05, roughness=0.3)), 0.97, marks=pytest.mark.slow),
     (lambda: glossy_scenes.rough_metal(SIZE), 0.95)])
 def test_highlights_follow_the_camera(made, share):
     """Follow the image of what rough floors and balls show as the camera goes around them: better than no means."""
@@ -102,6 +103,7 @@ def test_highlights_follow_the_camera(made, share):
     assert kept < share * alone
 
 
+@pytest.mark.slow
 def test_mirrored_movers_are_seen_where_they_are():
     """Show in a mirror what moves there where it is now, not what each pixel showed before."""
     made = glossy_scenes.mirrored_mover(SIZE)
@@ -117,6 +119,7 @@ def test_mirrored_movers_are_seen_where_they_are():
     assert kept < 1.5 * alone
 
 
+@pytest.mark.slow
 def test_turning_mirrors_forget_what_stood_before_the_wall():
     """Leave no trail of a near thing on the farther one behind, whose image a turning mirror moves faster."""
     size = (112, 70)
@@ -133,6 +136,7 @@ def test_turning_mirrors_forget_what_stood_before_the_wall():
     assert np.maximum(redder[green] - 0.2, 0.0).sum() < 1.5
 
 
+@pytest.mark.slow
 def test_movers_are_lit_by_what_is_around_them():
     """Show in a mirror a ball that passes out of view with the light that reaches it from walls, known nowhere yet."""
     size = (112, 70)

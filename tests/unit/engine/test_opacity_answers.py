@@ -230,7 +230,8 @@ def curtained_room():
     return delta
 
 
-@pytest.mark.parametrize(("integrator", "samples"), [(Integrator.REFERENCE, 256), (Integrator.REALTIME, 128)])
+@pytest.mark.parametrize(("integrator", "samples"), [
+    (Integrator.REFERENCE, 256), pytest.param(Integrator.REALTIME, 128, marks=pytest.mark.slow)])
 def test_pictures_are_the_same(integrator: Integrator, samples: int) -> None:
     """Draw what lies under leaves and curtains as bright as programs do, with both integrators, alone and in sum."""
     pictures = []

@@ -39,12 +39,14 @@ def test_white_sky(shape, albedo):
     check(light_checks.white_sky(SMALL, albedo, 48, shape))
 
 
+@pytest.mark.slow
 def test_thin_wall_keeps_light_in():
     """Find at most 0.5 % of the lit side's light beyond a wall 2 cm thick."""
     check(light_checks.thin_wall(LARGE, 32))
 
 
-@pytest.mark.parametrize("kept", [0, 1], ids=["none left", "a dim lamp left"])
+@pytest.mark.parametrize(
+    "kept", [pytest.param(0, id="none left", marks=pytest.mark.slow), pytest.param(1, id="a dim lamp left")])
 def test_light_goes_off_and_on(kept):
     """Find at most 2 % of the light 12 frames after it went off, and as little missing after it came on."""
     check(light_checks.light_switch(COARSE, 32, kept=kept))

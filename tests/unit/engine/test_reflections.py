@@ -221,6 +221,7 @@ def red_in_clear():
     return meshes | {"panel": slab((-5, -5, 5), (5, 5, 5.1))}, turned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("glasses", "background", "eye"), [
     (red_panes, 0.5, (-0.5, -1.8, 0.9)), (red_in_clear, 0.02, (0.0, -5.0, 2.8))])
 def test_light_goes_through_many_glasses(glasses, background, eye):
@@ -247,7 +248,8 @@ def blind_room(layers, behind):
     return scenes.delta(meshes, placed, materials, [sun(3.0, (0.0, 1.0, -1.0)), lamp], background=0.05)
 
 
-@pytest.mark.parametrize(("layers", "behind"), [(1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)])
+@pytest.mark.parametrize(("layers", "behind"), [
+    (1, 0.0), (2, 1.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((1, 1.0), (2, 0.0)))])
 def test_translucent_surfaces_are_lit_from_behind(layers, behind):
     """Show through a blind the light that arrives behind it, bounced and direct, once each.
 

@@ -86,6 +86,7 @@ def test_white_sky_is_white(scene):
     np.testing.assert_allclose(mean, 1.0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_dark_places_are_dark():
     """Find the light below a table as Reference does, where probes and cells are far too coarse for it."""
     scene = table()

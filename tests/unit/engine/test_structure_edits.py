@@ -19,6 +19,7 @@ from tests.unit.engine.test_structures import MATERIALS, check, meshes, objects,
 SETTINGS = PerformanceSettings(instancing_threshold=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instanced", [False, True])
 def test_meshes_that_lose_all_triangles_are_gone(instanced: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Meet nothing of a mesh whose triangles have all gone, and those that it gets later."""
@@ -93,6 +94,7 @@ def test_images_renew_the_maps_of_what_has_moved(monkeypatch: pytest.MonkeyPatch
     assert decides_layers(made.scene)
 
 
+@pytest.mark.slow
 def test_boxes_are_compared_with_those_that_were_built() -> None:
     """Build anew after the first jump, of a mesh or of instances, not only after one beyond that."""
     made, seen = opened(meshes(), objects()), []

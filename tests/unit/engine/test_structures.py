@@ -154,6 +154,7 @@ def test_deformed_meshes_are_met_where_they_are() -> None:
         check(made, edited, placed)
 
 
+@pytest.mark.slow
 def test_many_meshes_share_a_forest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Meet instances of meshes of one triangle to hundreds, whose trees are built together, some of them moved."""
     monkeypatch.setattr("burnish.engine.structures.ALWAYS_FLATTEN", 0)
@@ -185,6 +186,7 @@ def test_a_forest_too_deep_gives_way_to_trees(monkeypatch: pytest.MonkeyPatch) -
     check(made, shapes, placed)
 
 
+@pytest.mark.slow
 def test_a_mesh_that_keeps_deforming_keeps_its_tree() -> None:
     """Fit a tree to vertices that move, for as long as that is good for rays, and build it anew after that."""
     made = opened(meshes(), objects())
@@ -199,6 +201,7 @@ def test_a_mesh_that_keeps_deforming_keeps_its_tree() -> None:
     assert seen[0] == seen[1] == seen[2] == seen[3] != seen[4]
 
 
+@pytest.mark.slow
 def test_instances_that_scatter_get_a_new_level() -> None:
     """Fit the level to instances that move, for as long as that is good for rays, and build it anew after that."""
     made = opened(meshes(), objects())
@@ -274,6 +277,7 @@ def test_rows_of_moved_objects_are_those_of_a_new_scene() -> None:
         check(made, shapes, objects(shift))
 
 
+@pytest.mark.slow
 def test_objects_out_of_reach_come_back() -> None:
     """Draw an object no more while its place is not finite, and again where it lies afterwards."""
     shapes, placed = meshes(), objects()

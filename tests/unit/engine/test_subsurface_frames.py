@@ -53,7 +53,7 @@ def body_light(scene: LitScene, frames: int, **groups) -> tuple[np.ndarray, np.n
 
 @pytest.mark.parametrize(("radius", "place", "mesh", "error", "matte"), [
     pytest.param(FAR, BEFORE, None, 0.1, 0.15, id="ball", marks=pytest.mark.slow),
-    pytest.param(FAR, BEHIND, None, 0.1, 0.6, id="ball lit from behind"),
+    pytest.param(FAR, BEHIND, None, 0.1, 0.6, id="ball lit from behind", marks=pytest.mark.slow),
     pytest.param(NEAR, BEHIND, None, 0.1, 0.25, id="less far", marks=pytest.mark.slow),
     pytest.param(FAR, BEHIND, slab(), 0.12, 0.8, id="slab lit from behind"),
 ])
@@ -66,6 +66,7 @@ def test_bodies_have_the_light_of_path_tracing(radius, place, mesh, error, matte
     assert np.abs(diffuse / expected - 1.0).max() > matte
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["LEGACY", "SKIN"])
 def test_methods_and_anisotropy_count(method) -> None:
     """Follow the media of all methods, and light that is scattered forward."""
@@ -113,6 +114,7 @@ def test_colour_stays_at_the_surface() -> None:
     assert (red[..., 0] > 2.0 * red[..., 2]).all() and (blue[..., 2] > 2.0 * blue[..., 0]).all()
 
 
+@pytest.mark.slow
 def test_a_moving_camera_keeps_the_light() -> None:
     """Show a body lit from behind with its light while the camera pans, and without sparks."""
     scene = lit(FAR, BEHIND)

@@ -108,6 +108,7 @@ def test_blocks_are_averaged(device: str, doubled: None) -> None:
         np.testing.assert_allclose(averaged.reshape(5, 3, channels), wanted, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_frames_have_four_times_the_pixels(doubled: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """See the same picture in light and shape, from four times as many pixels, and nearer to what it comes to."""
     larger = render(FRAMES, 4)

@@ -45,6 +45,7 @@ def reference(delta, samples, camera=None, size=(16, 16)):
     return session.read()[..., :3]
 
 
+@pytest.mark.slow
 def test_absorption_is_that_of_the_integral():
     """Show the world through a box whose density grows along the way, in a mirror too, and in endless fog."""
     expected = np.exp([-0.2 / 2.0, -1.0 / 2.0, -4.0 / 2.0])
@@ -74,7 +75,7 @@ def test_surfaces_are_lit_through_it():
 
 @pytest.mark.parametrize(("density", "anisotropy"), [
     pytest.param(3.0, 0.0, id="smoke", marks=pytest.mark.slow),
-    pytest.param(20.0, 0.0, id="cloud"),
+    pytest.param(20.0, 0.0, id="cloud", marks=pytest.mark.slow),
     pytest.param(20.0, 0.6, id="forward", marks=pytest.mark.slow),
 ])
 def test_frames_have_the_energy_of_path_tracing(density, anisotropy):
@@ -85,6 +86,7 @@ def test_frames_have_the_energy_of_path_tracing(density, anisotropy):
     assert session.read()[..., :3].mean() == pytest.approx(reference(delta, 192).mean(), rel=0.08)
 
 
+@pytest.mark.slow
 def test_thick_bodies_have_grids_of_their_own():
     """Give two clouds that lie apart fine cells each, one body none, and leave to path tracing what is too thick."""
     def apart(medium, count):
