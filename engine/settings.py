@@ -264,7 +264,7 @@ class DirectLightSettings:
     half_rate: bool = setting(True, "Trace every other pixel's shadow ray while something moves, in pictures of more "
         "than a million pixels: half of them, softer shadows in motion and more noise")
     quarter_rate: bool = setting(True, "While only the camera moves, leave half of those out where the light is known "
-        "and highlights are weak: faster, for light that is as old again")
+        "and highlights are weak: faster, with light up to twice as old")
     clear_glass: bool = setting(
         True, "Let light go on behind clear glass in straight lines: lights what is behind windows and in cases, for "
         "some time where there is glass. Off: glass casts full shadows until path tracing takes over")

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from .camera_motion import only_camera_moves
 from .direct_reservoir import TILE_SLOTS, DirectOptions, tile_columns
 from .direct_temporal import DirectHistory, albedos
 from .gbuffer import GBuffer
-from .long_mean import ALL_TAPS, EDIT_FRAMES, nearest_tap
+from .long_mean import ALL_TAPS, nearest_tap
 from .packed_halves import unpack_halves
 from .reprojection import Reprojection, known_taps, tap_pixel
-from .view import MOVED_FRAMES, View
+from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -29,9 +30,7 @@ def settled_pixel(
 
     `history` is of the frame before; without elements: no mean is kept.
     """
-    if history.length.shape[0] == 0 or view.restart == 1:
-        return -1
-    if view.light_age < EDIT_FRAMES or view.moved_age < MOVED_FRAMES:
+    if history.length.shape[0] == 0 or not only_camera_moves(view):
         return -1
     if int(known_taps(reprojection, pixel)) != ALL_TAPS:
         return -1
@@ -60,7 +59,7 @@ def leaves_turn_out(
     tile = slot // TILE_SLOTS
     columns = tile_columns(options)
     turn = tile % columns + tile // columns + (view.frame >> 1)
-    if options.quarter_rate == 0 or view.rest > 0 or (turn & 1) == 1:
+    if options.quarter_rate == 0 or (turn & 1) == 1:
         return False
     before = settled_pixel(view, options, reprojection, history, pixel)
     if before < 0 or not float(history.length[before]) >= KNOWN_FRAMES:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from .camera_motion import only_camera_moves
 from .gbuffer import GBuffer, SurfaceMaterial, load_surface
 from .geometry_math import max_component
-from .long_mean import EDIT_FRAMES, unpack_mean
+from .long_mean import unpack_mean
 from .packed_halves import unpack_halves
 from .reflection_blocks import ReflectionHistory, filter_roughness, light_strength
 from .reflection_types import LOBE_TRANSMISSION, ReflectionOptions, through_albedo
-from .view import MOVED_FRAMES, View, pixel_of, project
+from .view import View, pixel_of, project
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -52,9 +53,7 @@ def leaves_turn_out(
         pixel: That of its pixels that would be sampled.
         m: Material there.
     """
-    if options.half_rate == 0 or view.rest > 0 or view.restart == 1 or history.state.shape[0] == 0:
-        return False
-    if view.light_age < EDIT_FRAMES or view.moved_age < MOVED_FRAMES:
+    if options.half_rate == 0 or history.state.shape[0] == 0 or not only_camera_moves(view):
         return False
     if has_turn(view, options, block) or filter_roughness(options, m) < ROUGHNESS:
         return False
