@@ -35,7 +35,7 @@ DEBUG_VIEWS: dict[str, str] = {
     "direct.specular": "Direct specular light of this frame, without albedo, before it is denoised",
     "direct.light": "Which light each pixel chose in this frame: one colour for each light",
     "direct.weight": "Weight of each pixel's chosen light: evenly grey where the choice was good",
-    "direct.visibility": "Shadow rays of this frame: white reached the light, black did not",
+    "direct.visibility": "Shadow rays of this frame: white reached the light, black did not, blue pixels have none",
     "direct.history": "Frames averaged in direct light: black where it started anew, white from 1024 on",
     "direct.variance": "Error left in the mean of direct light, relative to it: white from 100 % on",
     "diffuse.history": "Frames averaged in indirect light: black where it started anew, white from 1024 on",

@@ -22,10 +22,13 @@ SHOW_LIGHT = wp.constant(2)
 SHOW_WEIGHT = wp.constant(3)
 SHOW_VISIBILITY = wp.constant(4)
 
+# Of pixels that show nothing, or leave their turn out.
+NO_RAY = wp.constant(wp.vec3(0.0, 0.0, 0.25))
+
 
 @wp.func
 def sampled_pixel(view: View, options: DirectOptions, pixel: int) -> int:
-    """Return a pixel with a sample: itself or the one beside it."""
+    """Return a pixel whose turn it is: itself or the one beside it."""
     x = pixel % options.width
     if has_sample(view, options, slot_of_pixel(view, options, pixel)) or options.width == 1:
         return pixel
@@ -73,5 +76,7 @@ def show_direct(
         color = reservoir_color(reservoirs, sampled_pixel(views[0], options, pixel), what)
     if what == SHOW_VISIBILITY:
         shown = sampled_pixel(views[0], options, pixel)
-        color = factor_of(options, rays, slot_of_pixel(views[0], options, shown))
+        color = NO_RAY
+        if reservoirs.weight[shown][1] > 0.0:
+            color = factor_of(options, rays, slot_of_pixel(views[0], options, shown))
     picture_out[pixel] = rgba(color, 1.0)
