@@ -23,7 +23,7 @@ from .direct_reservoir import (
 )
 from .direct_temporal import DirectHistory
 from .direct_terms import LightTerms, light_terms, load_lit, scaled_terms
-from .direct_turns import knows_its_light
+from .direct_turns import known_pixel
 from .environment_split import EnvironmentSplit
 from .gbuffer import (
     SURFACE_BACKFACING,
@@ -167,7 +167,7 @@ def shade_direct(
     surface = load_surface(view, gbuffer, options.width, pixel)
     if has_surface(surface):
         q = int(-1)
-        if not knows_its_light(view, options, reprojection, history, pixel):
+        if known_pixel(view, options, reprojection, history, pixel) < 0:
             q = choose_lender(scene, view, options, gbuffer, reservoirs, surface, pixel)
         if q < 0:
             sampled = 0.0

@@ -23,10 +23,10 @@ WEAK_HIGHLIGHT = wp.constant(0.1)
 
 
 @wp.func
-def settled_pixel(
+def known_pixel(
     view: View, options: DirectOptions, reprojection: Reprojection, history: DirectHistory, pixel: int,
 ) -> int:
-    """Return the pixel of the frame before whose mean does for one: of the same surface, and nothing changes; -1: none.
+    """Return the pixel of the frame before whose mean does for one: long, of the same surface, nothing changes; or -1.
 
     `history` is of the frame before; without elements: no mean is kept.
     """
@@ -35,16 +35,8 @@ def settled_pixel(
     if int(known_taps(reprojection, pixel)) != ALL_TAPS:
         return -1
     position = reprojection.position[pixel]
-    return tap_pixel(position, nearest_tap(position), options.width)
-
-
-@wp.func
-def knows_its_light(
-    view: View, options: DirectOptions, reprojection: Reprojection, history: DirectHistory, pixel: int,
-) -> bool:
-    """Return whether a pixel needs no sample of a neighbour's; arguments as of settled_pixel."""
-    before = settled_pixel(view, options, reprojection, history, pixel)
-    return before >= 0 and float(history.length[before]) >= KNOWN_FRAMES
+    before = tap_pixel(position, nearest_tap(position), options.width)
+    return wp.where(float(history.length[before]) >= KNOWN_FRAMES, before, -1)
 
 
 @wp.func
@@ -61,8 +53,8 @@ def leaves_turn_out(
     turn = tile % columns + tile // columns + (view.frame >> 1)
     if options.quarter_rate == 0 or (turn & 1) == 1:
         return False
-    before = settled_pixel(view, options, reprojection, history, pixel)
-    if before < 0 or not float(history.length[before]) >= KNOWN_FRAMES:
+    before = known_pixel(view, options, reprojection, history, pixel)
+    if before < 0:
         return False
     moments = unpack_halves(history.moments[before])
     albedo = albedos(gbuffer, pixel)

@@ -19,7 +19,7 @@ from ...kernels import (
 )
 from ...kernels.direct_emitters import EMITTER_WORDS
 from ...kernels.direct_light import DirectLight, PackedLight
-from ...kernels.direct_reservoir import SIDE, TILE_SLOTS, DirectOptions, Reservoirs
+from ...kernels.direct_reservoir import DirectOptions, Reservoirs, slots_of_color
 from ...kernels.direct_temporal import DirectHistory
 from ...kernels.environment_split import EnvironmentSplit
 from ...kernels.fog import Fog
@@ -65,7 +65,9 @@ def no_light(count: int, device: str) -> DirectLight:
 
 def slots_of(width: int, height: int) -> int:
     """Return how many slots a picture has [px]: both colours of all tiles, whole ones at the border too."""
-    return 2 * -(-width // SIDE) * -(-height // SIDE) * TILE_SLOTS
+    options = DirectOptions()
+    options.width, options.height = width, height
+    return 2 * slots_of_color(options)
 
 
 def light_count(scene: Scene, split: EnvironmentSplit, local_power: float) -> int:
@@ -115,7 +117,6 @@ class DirectLightPass:
         self._packed.diffuse = self.light.diffuse.view(wp.uint64)
         self._packed.specular = self.light.specular.view(wp.uint64)
         self._emitters = wp.zeros(int(EMITTER_WORDS), dtype=wp.uint64, device=self.device)
-        self._no_history = DirectHistory()
         self._rays_for: tuple[bool, bool] | None = None
         self._make_rays(filtered=False, programs=False)
 
@@ -191,7 +192,7 @@ class DirectLightPass:
             self._make_rays(
                 filtered=filtered, programs=textured or fog is not None or passes_glass(scene))
             options = self._options(light_count(scene, split, local_power))
-            history = self._no_history if history is None else history
+            history = history or DirectHistory()
             self._record_samples(
                 graph, parity, scene, views, gbuffer, previous_gbuffer, reprojection, split, options, history)
         with graph.section("Direct shadows"):

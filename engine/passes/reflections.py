@@ -108,7 +108,6 @@ class ReflectionPass:
         self.name, self.title, self.reflection, self._start = LOBES[self.lobe]
         names = DEBUG_CHANNELS if self.lobe == int(LOBE_REFLECTION) else ()
         self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
-        self.half_rate_pixels = HALF_RATE_PIXELS
         self.width = self.height = 0
         self._room: tuple | None = None
 
@@ -121,7 +120,7 @@ class ReflectionPass:
         """Allocate the samples for a picture of that size [px]; rays get room once they are recorded."""
         self.width, self.height = width, height
         self.options = reflection_options(self.settings, width, height, self.lobe)
-        self.options.half_rate = int(self.settings.half_rate and width * height > self.half_rate_pixels)
+        self.options.half_rate = int(self.settings.half_rate and width * height > HALF_RATE_PIXELS)
         self.blocks = self.options.columns * self.options.rows
         self.samples = self._fill(ReflectionSamples(), SAMPLE_ARRAYS, self.blocks)
         self.rays = ReflectionRays()
