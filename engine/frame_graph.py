@@ -170,13 +170,18 @@ class FrameGraph:
         The list gets a counter of its own for this use: one step at the frame's start sets all of them to zero.
         """
         if self.cuda:
+            self.empty_list(work)
+            self.launch(kernel, count, inputs, [work.queue, work.count], banded=False)
+
+    def empty_list(self, work: WorkList) -> None:
+        """Give a list that a kernel is going to fill a counter of its own; CUDA only, see fill_list."""
+        if self.cuda:
             place = self._lists % LISTS
             if place == 0:
                 self._counts = wp.zeros(LISTS, dtype=int, device=self.device)
                 self._steps.insert(0, _Step(self._section, action=self._counts.zero_))
             self._lists += 1
             work.count = self._counts[place : place + 1]
-            self.launch(kernel, count, inputs, [work.queue, work.count], banded=False)
 
     def launch_listed(
         self, kernel: wp.Kernel, inputs: list, work: WorkList, outputs: list, *, few: bool = False,

@@ -22,7 +22,7 @@ __all__ = ["LEVELS", "TRUNK", "keep_priorities", "make_stream"]
 TRUNK = ""
 """Name of what is on no branch"""
 
-LEVELS = {TRUNK: 2, "reflections": 1, "refraction": 1, "final gather": 1, "bounces": 1}
+LEVELS = {"other pixels": 3, TRUNK: 2, "reflections": 1, "refraction": 1, "final gather": 1, "bounces": 1}
 """Of a frame's branches by name, 0 of those not named: the higher, the sooner their kernels begin"""
 
 NON_BLOCKING = 1

@@ -36,7 +36,7 @@ from .passes.diffuse_denoise import DiffuseDenoisePass
 from .passes.direct_denoise import DirectDenoisePass
 from .passes.direct_light import DirectLightPass, has_lights, no_light
 from .passes.fog import FOG, FogPass
-from .passes.gbuffer import GBufferPass, shines_plainly
+from .passes.gbuffer import LAMPS, GBufferPass, shines_plainly
 from .passes.hair import HairPass, scatters_in_hair
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.ray_scene import scatters_below
@@ -340,7 +340,7 @@ class Pipeline:
             phase=phase, **cache_scene)
         if fog is not None:
             self.fog.record_light(graph, parity, kernels_scene, fog, self.cache.ways, phase)
-        graph.join(REPROJECTION)
+        graph.join(REPROJECTION, LAMPS)
         shown = {}
         for each in traced:
             with graph.branch(each.name):
@@ -350,7 +350,8 @@ class Pipeline:
         if hair:
             with graph.branch(self.hair.name):
                 self.hair.record_means(graph, parity, views, surfaces, reprojection, self.cache.grid)
-        indirect = self.probes.record_light(graph, views, surfaces, color, reprojection)
+        indirect = self.probes.record_light(
+            graph, views, surfaces, color, reprojection, parity, self.diffuse_denoise.history.previous(parity))
         for each in traced:
             if each.asks_probes:
                 with graph.branch(each.name):

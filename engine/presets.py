@@ -38,6 +38,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     Preset.FINE: MappingProxyType({
         "probes.spawn_tile": 8,
         "probes.update_interval": 1,
+        "probes.half_rate": False,
         "cache.cell_pixels": 16.0,
         "cache.capacity": 22,
         "cache.bounce_share": 0.5,
@@ -52,6 +53,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
     }),
     Preset.PAPER: MappingProxyType({
         "probes.update_interval": 1,
+        "probes.half_rate": False,
         "probes.dense_small": False,
         "probes.contact_detail": True,
         "probes.energy_exact": False,

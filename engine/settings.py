@@ -201,6 +201,8 @@ class ProbeSettings:
         4, "A probe that may wait is updated in one of so many frames while the camera moves, and at least in every "
         "other where more moves and in pictures of up to a million pixels: 4 takes a ninth of the time off 1080p "
         "frames, for up to 1.5 % more error", low=1, high=4, unit="frames")
+    half_rate: bool = setting(True, "While only the camera moves, take light from the probes for half of the pixels "
+        "that know theirs, in pictures of more than a million pixels: faster, with light a frame older")
     dense_small: bool = setting(
         True, "Give pictures of 240x135 to 960x540 pixels as many rays as a 1080p frame has, on a GPU, which they "
         "leave idle otherwise: twice as many probes along each side, a reflection ray for each pixel and finer cells, "

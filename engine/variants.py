@@ -41,6 +41,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "reuse of lights": {"direct_light.temporal_reuse": 1},
     "a shadow ray for every pixel": {"direct_light.half_rate": False},
     "every pixel's light in its turn": {"direct_light.quarter_rate": False},
+    "every pixel's probes in each frame": {"probes.half_rate": False},
     "no light behind glass": {"direct_light.clear_glass": False},
     "reflections traced to 0.2": {"reflections.roughness_traced": 0.2},
     "weak reflections traced as far": {"reflections.roughness_weak": 0.5},

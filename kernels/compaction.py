@@ -9,7 +9,6 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_materials import LEFT
-from .gbuffer_store import LEFT as PIXEL_LEFT
 from .intersect import MISS
 from .paths import ENDED, Paths, has_layers, has_shadow_layers, waits_for_program
 from .pixel_order import pixel_in_blocks
@@ -123,20 +122,6 @@ def append_marked(
 
 
 @wp.kernel
-def append_unfilled(
-    # In:
-    irradiance: wp.array[wp.vec4h],
-    # Out:
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
-):
-    """Append the pixels for which interpolate_probes has found no probe (probe_interpolate.UNFILLED)."""
-    pixel = wp.tid()
-    if float(irradiance[pixel][3]) < 0.0:
-        queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
-
-
-@wp.kernel
 def append_layered_pixels(
     # In:
     layer: wp.array[wp.vec2i],
@@ -150,21 +135,4 @@ def append_layered_pixels(
     pixel = pixel_in_blocks(wp.tid(), width, height)
     if pixel >= 0:
         if layer[pixel][0] != MISS:
-            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
-
-
-@wp.kernel
-def append_left_pixels(
-    # In:
-    hit: wp.array[wp.vec2i],
-    width: int,
-    height: int,
-    # Out:
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
-):
-    """Append the pixels that shade_lean has left (GBuffer.hit), in the order of pixel_in_blocks."""
-    pixel = pixel_in_blocks(wp.tid(), width, height)
-    if pixel >= 0:
-        if hit[pixel][0] == PIXEL_LEFT:
             queue_out[wp.atomic_add(count_out, 0, 1)] = pixel

@@ -44,7 +44,7 @@ from .reprojection import Reprojection
 from .sampling import hash_combine, pixel_seed_of
 from .types import Scene
 from .view import View, pixel_footprint
-from .wide_loads import interpolated_normal, load_instance
+from .wide_loads import interpolated_normal, load_instance, load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -155,20 +155,22 @@ def shade_direct(
     `history` is of the frame before; without elements: no mean is kept.
     """
     slot = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     pixel = pixel_of_slot(view, options, slot)
     if pixel < 0:
         return
     if has_sample(view, options, slot):
         weaken(options, rays, slot, pixel, light_out)
         return
+    if known_pixel(view, options, reprojection, history, pixel) >= 0:
+        light_out.diffuse[pixel] = wp.uint64(0)
+        light_out.specular[pixel] = wp.uint64(0)
+        return
     light = LightTerms()
     sampled = float(1.0)
     surface = load_surface(view, gbuffer, options.width, pixel)
     if has_surface(surface):
-        q = int(-1)
-        if known_pixel(view, options, reprojection, history, pixel) < 0:
-            q = choose_lender(scene, view, options, gbuffer, reservoirs, surface, pixel)
+        q = choose_lender(scene, view, options, gbuffer, reservoirs, surface, pixel)
         if q < 0:
             sampled = 0.0
         else:

@@ -8,7 +8,7 @@ import warp as wp
 from .gbuffer import GBuffer
 from .gbuffer_materials import store_closure, store_sky
 from .gbuffer_rays import PrimaryHits, primary_ray
-from .gbuffer_store import LEFT, closure_number, pixel_point
+from .gbuffer_store import closure_number, needs_full, pixel_point
 from .intersect import MISS
 from .node_rays import Rays, program_start, run_exact
 from .sampling import pixel_seed_of
@@ -53,10 +53,10 @@ def shade_exact_primary(
     # Out:
     gbuffer_out: GBuffer,
 ):
-    """Fill the G-buffer but for its motion at those of the listed pixels that shade_lean has left."""
+    """Fill the G-buffer but for its motion at those of the listed pixels that gbuffer_lean.py leaves out."""
     i = wp.tid()
     while i < count[0]:
         pixel = queue[i]
-        if gbuffer_out.hit[pixel][0] == LEFT:
+        if needs_full(scene, hits, pixel):
             shade_exact(views[0], scene, width, layers, hits, gbuffer_out, pixel)
         i = i + stride

@@ -11,7 +11,7 @@ import warp as wp
 
 from .gbuffer import SURFACE_SHAPED, GBuffer
 from .gbuffer_rays import PrimaryHits, light_weight, primary_ray, veil_flag, veiled_light
-from .gbuffer_store import LEFT, closure_number, pixel_point, store_surface, store_world
+from .gbuffer_store import closure_number, needs_full, pixel_point, store_surface, store_world
 from .intersect import MISS
 from .layering import prepare_bsdf
 from .nodes import run
@@ -88,10 +88,10 @@ def shade_primary(
     # Out:
     gbuffer_out: GBuffer,
 ):
-    """Fill the G-buffer but for its motion at those of the listed pixels that shade_lean has left."""
+    """Fill the G-buffer but for its motion at those of the listed pixels that gbuffer_lean.py leaves out."""
     i = wp.tid()
     while i < count[0]:
         pixel = queue[i]
-        if gbuffer_out.hit[pixel][0] == LEFT:
+        if needs_full(scene, hits, pixel):
             shade_pixel(views[0], scene, width, layers, hits, gbuffer_out, pixel)
         i = i + stride

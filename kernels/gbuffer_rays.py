@@ -17,6 +17,7 @@ from .packing import from_half, rgba, to_half
 from .reflection_lights import lamps_along
 from .types import VISIBLE_CAMERA, Scene
 from .view import View, film_position
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -151,7 +152,7 @@ def add_lamps(
 ):
     """Add the lamps that the camera sees in front of its hits; they hide nothing. One pixel a thread."""
     pixel = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
     t_max = hits.t[pixel]
     if hits.hit[pixel][0] == MISS:

@@ -29,19 +29,17 @@ from .geometry_math import (
     transform_direction,
     transform_normal,
 )
-from .intersect import MISS, surface_point
+from .intersect import MISS, surface_point, triangle_material
 from .nodes import world_point
 from .packing import pack_normal, pack_unorm16, rgba, to_half
 from .paths import make_hit
 from .reflectance import BsdfAlbedo, fit_lobe
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, pixel_seed_of, sample_pair
 from .tracing import FOOTPRINT_SCALE
-from .types import HOLDOUT, VISIBLE_CAMERA, FrameData, Geometry, Scene, ShadingPoint
+from .types import HOLDOUT, MATERIAL_LEAN, VISIBLE_CAMERA, FrameData, Geometry, Scene, ShadingPoint
 from .view import SKY_DEPTH, View, pixel_footprint, project
-from .wide_loads import load_corner, load_instance, load_normal
+from .wide_loads import load_corner, load_instance, load_material_flags, load_normal
 
-# GBuffer.hit[0] where the lean kernel has left a pixel to the full one.
-LEFT = wp.constant(-2)
 # Tokuyoshi and Kaplanyan 2021: variance of a pixel's filter [px^2] and the largest widening of alpha squared. An eighth
 # of the published 1 / (2 pi): the mean over jittered frames filters the rest as it is, without the tails of a wider GGX
 # lobe, which blurred highlights over many pixels.
@@ -206,6 +204,16 @@ def closure_number(view: View, width: int, pixel: int) -> float:
     """Return the number that draws one closure of a pixel's material in this frame."""
     seed = pixel_seed_of(view.camera.crop_x + pixel % width, view.camera.crop_y + pixel // width, view.camera.seed)
     return sample_pair(seed, wp.uint32(view.frame), DIMENSION_FIRST_BOUNCE + DIMENSION_LOBE)[1]
+
+
+@wp.func
+def needs_full(scene: Scene, hits: PrimaryHits, pixel: int) -> bool:
+    """Return whether a pixel shows what the lean node machine can't run; gbuffer_lean.py does all others."""
+    ids = hits.hit[pixel]
+    if ids[0] == MISS:
+        return scene.environment.constant == 0
+    flags = load_material_flags(scene.materials.materials, triangle_material(scene, ids[0], ids[1]))[3]
+    return (flags & MATERIAL_LEAN) == 0
 
 
 @wp.func

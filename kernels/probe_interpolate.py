@@ -12,6 +12,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, Surface, has_surface, load_material, load_surface, plane_distance, view_direction
 from .geometry_math import luminance
+from .interpolation_turns import InterpolatedBefore, kept_light, known_pixel
 from .list_order import first_dealt
 from .lobe_moments import reflection_lobe
 from .packed_halves import unpack_pairs
@@ -311,14 +312,19 @@ def interpolate_probes(
     records: wp.array[wp.uint64],
     pool: ProbePool,
     moments: wp.array[wp.uint64],
+    before: InterpolatedBefore,
+    listing: int,
     # Out:
     irradiance_out: wp.array[wp.vec4h],
     ratio_out: wp.array[wp.float16],
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
 ):
     """Interpolate the light of a pixel: exposed irradiance / pi at the shading normal, and that of reflections by it.
 
     64 threads a tile, so that a warp asks for the same probes. Confidence is 1 where probes of the same surface are
-    near; where there are none it is UNFILLED, for fill_gaps.
+    near; where there are none it is UNFILLED, for fill_gaps, and KEPT where a pixel leaves its turn out. With `listing`
+    the former are appended to a list (CUDA only: in one launch).
     """
     index = first + wp.tid()
     tile = index // CELLS
@@ -328,6 +334,11 @@ def interpolate_probes(
         return
     pixel = py * grid.width + px
     view = load_view(views)
+    found = known_pixel(view, grid, before, tile, pixel)
+    if found >= 0:
+        store_vec4h(irradiance_out, pixel, kept_light(before, found))
+        ratio_out[pixel] = before.ratio[found]
+        return
     s = load_surface(view, gbuffer, grid.width, pixel)
     if not has_surface(s):
         irradiance_out[pixel] = wp.vec4h(wp.float16(0.0), wp.float16(0.0), wp.float16(0.0), wp.float16(0.0))
@@ -335,9 +346,11 @@ def interpolate_probes(
         return
     p = place_of(view, grid, gbuffer, moments, s, pixel)
     total = blend_around(grid, records, pool, p, tile, 1, REACH)
-    store_vec4h(
-        irradiance_out, pixel, diffuse_light(total, wp.where(total.share < LEAST_WEIGHT, UNFILLED, 1.0)))
+    unfilled = total.share < LEAST_WEIGHT
+    store_vec4h(irradiance_out, pixel, diffuse_light(total, wp.where(unfilled, UNFILLED, 1.0)))
     ratio_out[pixel] = specular_ratio(total, grid.luminance)
+    if unfilled and listing == 1:
+        queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
 
 
 @wp.kernel
@@ -365,7 +378,7 @@ def fill_gaps(
     while i < count[0]:
         pixel = queue[i]
         i = i + stride
-        if float(irradiance_out[pixel][3]) < 0.0:
+        if float(irradiance_out[pixel][3]) == UNFILLED:
             view = load_view(views)
             s = load_surface(view, gbuffer, grid.width, pixel)
             p = place_of(view, grid, gbuffer, moments, s, pixel)

@@ -43,6 +43,8 @@ class ProbeGrid:
     specular: int
     interval: int
     """Frames of which an update that may wait has one while something moves"""
+    half_rate: int
+    """1: while only the camera moves, pixels that know their light get none in every other frame"""
     exact: int
     """0: the published estimator"""
     history: float

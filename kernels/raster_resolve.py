@@ -136,21 +136,26 @@ def trace_veils(
     views: wp.array[View],
     scene: Scene,
     width: int,
-    seen: Visibility,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     hits_out: PrimaryHits,
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
 ):
-    """Find the first triangle that needs a test before what listed pixels show, as trace_primary_layers does."""
+    """Find the first triangle that needs a test before what listed pixels show, as trace_primary_layers does.
+
+    CUDA only; pixels that have one are appended to another list.
+    """
     i = wp.tid()
     while i < count[0]:
         pixel = queue[i]
-        if seen.veiled[pixel] != wp.uint8(0):
-            ray = primary_ray(load_view(views), pixel % width, pixel // width)
-            store_primary_layer(hits_out, pixel, closest_flat_layer(
-                scene.geometry, ray.origin, ray.direction, hits_out.t[pixel]))
+        ray = primary_ray(load_view(views), pixel % width, pixel // width)
+        layer = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
+        store_primary_layer(hits_out, pixel, layer)
+        if layer.hit.instance != MISS and layer.solid == 0:
+            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
         i = i + stride
 
 

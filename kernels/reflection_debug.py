@@ -19,7 +19,6 @@ from .reflection_rays import (
     ReflectionRays,
 )
 from .reflection_types import (
-    NO_SAMPLE,
     SAMPLE_FAR,
     SOURCE_COAT,
     SOURCE_PROBE,
@@ -27,6 +26,7 @@ from .reflection_types import (
     ReflectionOptions,
     ReflectionSamples,
     block_of,
+    sample_pixel,
 )
 from .view import SKY_DEPTH
 
@@ -89,7 +89,7 @@ def show_samples(
         elif what == REFLECTION_HITS:
             if source == SOURCE_RAY or source == SOURCE_COAT:
                 c = found_color(rays.found[rays.rank[block] - 1])
-        elif samples.place[block] != NO_SAMPLE and samples.pdf[block] > 0.0:
+        elif sample_pixel(options, samples, block) >= 0 and samples.pdf[block] > 0.0:
             value = unpack_halves(samples.radiance[block])
             c = rgb(value)
             if what == REFLECTION_DISTANCE:

@@ -19,7 +19,7 @@ from .reflection_blocks import (
     block_depth,
     light_strength,
 )
-from .reflection_types import ReflectionOptions, block_of
+from .reflection_types import NO_SAMPLE, ReflectionOptions, ReflectionSamples, block_of
 from .view import SKY_DEPTH, View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -30,13 +30,17 @@ def show_filtered_reflections(
     first: int,
     # In:
     views: wp.array[View],
+    options: ReflectionOptions,
+    samples: ReflectionSamples,
     lights: ReflectionLight,
     # Out:
     picture_out: wp.array[wp.vec4],
 ):
     """Show what the filter makes of this frame's samples, without colours and exposure; banded over pixels."""
     pixel = first + wp.tid()
-    light = rgb(unpack_halves(lights.light[pixel]))
+    light = wp.vec3(0.0, 0.0, 0.0)
+    if samples.place[block_of(options, pixel)] != NO_SAMPLE:
+        light = rgb(unpack_halves(lights.light[pixel]))
     picture_out[pixel] = rgba(light / wp.max(views[0].exposure, 1.0e-30), 1.0)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices
-from .gbuffer import GBuffer, SurfaceMaterial, load_material
+from .gbuffer import SURFACE_TRANSLUCENT, SURFACE_TRANSMITS, GBuffer, SurfaceMaterial, load_material
 from .paths import ENDED, Paths
 from .reflection_blocks import ReflectionHistory
 from .reflection_lights import ray_zone
@@ -25,11 +25,13 @@ from .reflection_rays import (
 from .reflection_turns import leaves_turn_out
 from .reflection_types import (
     LOBE_REFLECTION,
+    LOBE_TRANSMISSION,
     NO_SAMPLE,
     SOURCE_COAT,
     SOURCE_NONE,
     SOURCE_PROBE,
     SOURCE_RAY,
+    WAITS,
     ReflectionOptions,
     ReflectionSamples,
     coat_alone,
@@ -38,6 +40,7 @@ from .reflection_types import (
 )
 from .sampling import sample_pair
 from .view import SKY_DEPTH, View
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -50,7 +53,15 @@ def chance_of_ray(options: ReflectionOptions, m: SurfaceMaterial) -> float:
     return ray_zone(options, m)
 
 
-@wp.kernel
+@wp.func
+def may_be_sampled(options: ReflectionOptions, gbuffer: GBuffer, pixel: int) -> bool:
+    """Return False where one word tells that a surface needs no sample: most let no light through."""
+    if options.lobe != LOBE_TRANSMISSION or gbuffer.below.shape[0] > 0:
+        return True
+    return (gbuffer.material[pixel] & (SURFACE_TRANSLUCENT | SURFACE_TRANSMITS)) != wp.uint32(0)
+
+
+@wp.kernel(cuda_max_registers=64)
 def place_samples(
     # In:
     first: int,
@@ -65,7 +76,7 @@ def place_samples(
 ):
     """Choose each block's pixel, and whether it gets a ray; arguments as of leaves_turn_out."""
     block = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     places = options.stride * options.stride
     found = int(-1)
     pixel = int(-1)
@@ -74,15 +85,18 @@ def place_samples(
         place = place_of_frame(options.stride, view.frame + k)
         pixel = place_pixel(options, block, place)
         if pixel >= 0:
-            if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, load_material(gbuffer, pixel)):
-                found = place
+            if gbuffer.depth[pixel] < SKY_DEPTH and may_be_sampled(options, gbuffer, pixel):
+                if is_sampled(options, load_material(gbuffer, pixel)):
+                    found = place
         k = k + 1
+    waits = bool(False)
     traced = bool(False)
     coated = bool(False)
     if found >= 0:
         m = load_material(gbuffer, pixel)
-        if leaves_turn_out(view, options, gbuffer, history, matte, block, pixel, m):
+        if leaves_turn_out(views, view, options, gbuffer, history, matte, block, pixel, m):
             found = -1
+            waits = True
         else:
             coated = coat_alone(options, m)
             share = chance_of_ray(options, m)
@@ -91,7 +105,7 @@ def place_samples(
                 index = sequence_index(options.stride, view.frame, found)
                 u = sample_pair(sequence_seed(view, options.width, pixel), index, DIMENSION_CLASS)
                 traced = u[0] < share
-    samples_out.place[block] = wp.where(found < 0, NO_SAMPLE, wp.uint8(found))
+    samples_out.place[block] = wp.where(found < 0, wp.where(waits, WAITS, NO_SAMPLE), wp.uint8(found))
     samples_out.pdf[block] = 0.0
     source = SOURCE_NONE
     if found >= 0:

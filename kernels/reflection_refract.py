@@ -37,6 +37,7 @@ from .sampling import DIMENSION_LOBE as CLOSURE_LOBE
 from .tracing import FOOTPRINT_SCALE
 from .types import VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
 from .view import View
+from .wide_loads import load_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -102,7 +103,7 @@ def start_refractions(
 ):
     """Draw a direction for each ray, by the shares of what glass lets through and what is scattered."""
     slot = first + wp.tid()
-    view = views[0]
+    view = load_view(views)
     start = find_start(view, options, samples_out, rays_out, paths_out, vertices_out, slot)
     if start.block < 0:
         return

@@ -218,7 +218,7 @@ def gather_sources(
     """Return the mean of the frame before, from where the surface and where the virtual image was.
 
     In detail:
-        light: Of this frame; w = closeness of what is reflected.
+        light: Of this frame; w = closeness of what is reflected, below 0 where that is not known.
         deviation: Of the light around.
     """
     width = options.width
@@ -240,7 +240,10 @@ def gather_sources(
         return surface
     closeness = light[3]
     if surface.length > 0.0:
-        closeness = wp.lerp(surface.closeness, closeness, wp.max(smooth, 1.0 / DISTANCE_FRAMES))
+        closeness = wp.where(
+            closeness < 0.0, surface.closeness,
+            wp.lerp(surface.closeness, closeness, wp.max(smooth, 1.0 / DISTANCE_FRAMES)))
+    closeness = wp.max(closeness, 0.0)
     before = mirror_before(views, gbuffer, previous, reprojection, width, pixel)
     there = image_position(views, gbuffer, before, width, pixel, closeness)
     apart = there - position

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from .gbuffer import GBuffer, load_material
+from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .geometry_math import is_finite3, max_component
 from .long_mean import EDIT_FRAMES, history_cap, only_camera_moved, pack_mean
 from .packed_halves import pack_halves, unpack_halves
-from .packing import rgb
+from .packing import rgb, rgba
 from .reflection_blocks import ReflectionHistory, ReflectionLight, filter_roughness, light_strength
 from .reflection_sources import (
     DISTANCE_BLEND,
@@ -26,7 +26,7 @@ from .reflection_sources import (
     gather_sources,
     no_reflection,
 )
-from .reflection_types import ReflectionOptions, fading, is_sampled
+from .reflection_types import NO_SAMPLE, ReflectionOptions, ReflectionSamples, block_of, fading, is_sampled
 from .reprojection import Reprojection
 from .view import SKY_DEPTH, View, settling_frames
 from .wide_loads import load_view
@@ -171,6 +171,7 @@ def accumulate_reflections(
     previous_gbuffer: GBuffer,
     reprojection: Reprojection,
     options: ReflectionOptions,
+    samples: ReflectionSamples,
     lights: ReflectionLight,
     history: ReflectionHistory,
     temporal: int,
@@ -183,6 +184,7 @@ def accumulate_reflections(
 
     In detail:
         first: Of the band.
+        samples: Of this frame: where nothing in a block reflects there is no light.
         lights: Of this frame, from the filter.
         history: Of the frame before.
         temporal: 0: this frame's light alone.
@@ -194,8 +196,12 @@ def accumulate_reflections(
     """
     pixel = first + wp.tid()
     m = no_reflection()
-    material = load_material(gbuffer, pixel)
-    if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material):
+    sampled = samples.place[block_of(options, pixel)] != NO_SAMPLE
+    material = SurfaceMaterial()
+    if sampled:
+        material = load_material(gbuffer, pixel)
+        sampled = gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, material)
+    if sampled:
         view = load_view(views)
         roughness = filter_roughness(options, material)
         light = unpack_halves(lights.light[pixel])
@@ -203,8 +209,8 @@ def accumulate_reflections(
         known = state[1] >= 0.0 and is_finite3(rgb(light))
         if view.restart == 0 and temporal == 1:
             m = gather_sources(
-                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, roughness, light,
-                wp.where(known, state[0], 1.0e4))
+                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, roughness,
+                rgba(rgb(light), wp.where(known, light[3], -1.0)), wp.where(known, state[0], 1.0e4))
         if view.light_age == 0:
             m.length = wp.min(m.length, EDIT_LENGTH)
         if known:

@@ -13,6 +13,7 @@ from .packed_halves import unpack_halves
 from .reflection_blocks import ReflectionHistory, filter_roughness, light_strength
 from .reflection_types import LOBE_TRANSMISSION, ReflectionOptions, through_albedo
 from .view import View, pixel_of, project
+from .wide_loads import load_previous_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -35,8 +36,8 @@ def has_turn(view: View, options: ReflectionOptions, block: int) -> bool:
 
 @wp.func
 def leaves_turn_out(
-    view: View, options: ReflectionOptions, gbuffer: GBuffer, history: ReflectionHistory, matte: wp.array[wp.uint64],
-    block: int, pixel: int, m: SurfaceMaterial,
+    views: wp.array[View], view: View, options: ReflectionOptions, gbuffer: GBuffer, history: ReflectionHistory,
+    matte: wp.array[wp.uint64], block: int, pixel: int, m: SurfaceMaterial,
 ) -> bool:
     """Return whether a block has no sample in a frame, as the reflection at its pixel is known, rough and even.
 
@@ -44,7 +45,8 @@ def leaves_turn_out(
     just come into view the mean of what hid it may be taken for its own, in one frame.
 
     Args:
-        view: Of the frame.
+        views: One element.
+        view: The same without the camera of the frame before.
         options: Of the pass.
         gbuffer: Of this frame.
         history: Of the frame before; without elements: no means are kept.
@@ -57,8 +59,9 @@ def leaves_turn_out(
         return False
     if has_turn(view, options, block) or filter_roughness(options, m) < ROUGHNESS:
         return False
-    place = project(view.previous, load_surface(view, gbuffer, options.width, pixel).position)
-    before = pixel_of(view.previous, view.jitter, place, options.width, options.height)
+    both = load_previous_view(views)
+    place = project(both.previous, load_surface(both, gbuffer, options.width, pixel).position)
+    before = pixel_of(both.previous, both.jitter, place, options.width, options.height)
     if before < 0:
         return False
     state = unpack_halves(history.state[before])

@@ -19,8 +19,9 @@ LOBE_TRANSMISSION = wp.constant(1)
 LOBE_DIFFUSE = wp.constant(2)
 """Diffuse reflection, at rest alone (final gather)"""
 
-# ReflectionSamples.place of blocks without a sample.
+# ReflectionSamples.place of blocks without a sample: nothing reflects, or the means of what does are to do for it.
 NO_SAMPLE = wp.constant(wp.uint8(255))
+WAITS = wp.constant(wp.uint8(254))
 # Bits of ReflectionSamples.place that hold the pixel, and one that is set beside them where the light is emitted by
 # what the ray has met first: a lamp, a shining surface, the world. In a mirror that is no noise, however bright it is.
 PLACE_MASK = wp.constant(wp.uint8(15))
@@ -81,7 +82,7 @@ class ReflectionSamples:
     """One entry a block, row by row."""
 
     place: wp.array[wp.uint8]
-    """Pixel within the block, y * stride + x; NO_SAMPLE: nothing in the block reflects. After a sample was found
+    """Pixel within the block, y * stride + x; NO_SAMPLE: nothing in the block reflects; WAITS. After a sample was found
     missing the place stays and `pdf` is 0. Once there is light with PLACE_STEADY, or without"""
     radiance: wp.array[wp.uint64]
     """pack_halves: incoming radiance * f cos / pdf / albedo, exposed (its mean times GBuffer.specular, or
@@ -113,7 +114,7 @@ def place_pixel(options: ReflectionOptions, block: int, place: int) -> int:
 def sample_pixel(options: ReflectionOptions, samples: ReflectionSamples, block: int) -> int:
     """Return the pixel at which a block was sampled; -1 for none."""
     place = samples.place[block]
-    if place == NO_SAMPLE:
+    if place >= WAITS:
         return -1
     return place_pixel(options, block, int(place & PLACE_MASK))
 

@@ -12,7 +12,8 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_material
 from .geometry_math import sqr
-from .packed_halves import pack_halves
+from .long_mean import nearest_tap
+from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .reflection_atrous import EXPONENT_MAX, WEIGHT_NONE, gaussian, load_reflection, load_root, tap_weight
 from .reflection_blocks import (
@@ -30,7 +31,9 @@ from .reflection_blocks import (
     light_strength,
 )
 from .reflection_lobe import FilterLobe, FilterPass, angle_of_pixel, filter_lobe, known_pass, pass_sigma
-from .reflection_types import ReflectionOptions, ReflectionSamples, block_of, is_sampled
+from .reflection_turns import WAITING_FRAMES
+from .reflection_types import NO_SAMPLE, WAITS, ReflectionOptions, ReflectionSamples, block_of, is_sampled
+from .reprojection import Reprojection, has_tap, tap_pixel
 from .sampling import hash32, hash_combine, to_unit
 from .view import SKY_DEPTH, View
 from .wide_loads import load_view
@@ -156,18 +159,38 @@ def around(part: FilterPass, moments: wp.vec3, light: wp.vec4) -> wp.vec2:
 
 
 @wp.func
+def is_known(
+    options: ReflectionOptions, history: ReflectionHistory, reprojection: Reprojection, pixel: int,
+) -> bool:
+    """Return whether a pixel has a mean that does for it while its block waits."""
+    position = reprojection.position[pixel]
+    nearest = nearest_tap(position)
+    if not has_tap(reprojection.taps[pixel], nearest):
+        return False
+    return unpack_halves(history.state[tap_pixel(position, nearest, options.width)])[0] >= WAITING_FRAMES
+
+
+@wp.func
 def upscale_pixel(
     views: wp.array[View], gbuffer: GBuffer, options: ReflectionOptions, part: FilterPass, samples: ReflectionSamples,
-    blocks: ReflectionBlocks, lights: ReflectionLight, history: ReflectionHistory, pixel: int,
-    lights_out: ReflectionLight,
+    blocks: ReflectionBlocks, lights: ReflectionLight, history: ReflectionHistory, reprojection: Reprojection,
+    pixel: int, lights_out: ReflectionLight,
 ):
-    """Filter the light of blocks into one pixel; as kernels below do with a band of them."""
+    """Filter the light of blocks into one pixel, where they reflect; as kernels below do with a band of them."""
+    home = block_of(options, pixel)
+    place = samples.place[home]
+    if place == NO_SAMPLE:
+        return
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     state = wp.vec4(0.0, UNKNOWN, 0.0, 0.0)
+    if place == WAITS:
+        if is_known(options, history, reprojection, pixel):
+            lights_out.light[pixel] = pack_halves(light)
+            lights_out.state[pixel] = pack_halves(state)
+            return
     m = load_material(gbuffer, pixel)
     if gbuffer.depth[pixel] < SKY_DEPTH and is_sampled(options, m):
         view = load_view(views)
-        home = block_of(options, pixel)
         centre = filter_centre(view, gbuffer, options.width, pixel, gbuffer.normal[pixel], filter_roughness(options, m))
         lobe = filter_lobe(view, gbuffer, options, part, history, centre, float(blocks.closeness[home]))
         stride = float(options.stride)
@@ -232,10 +255,13 @@ def upscale_samples(
     blocks: ReflectionBlocks,
     lights: ReflectionLight,
     history: ReflectionHistory,
+    reprojection: Reprojection,
     # Out:
     lights_out: ReflectionLight,
 ):
-    """Filter the light of blocks into pixels; banded over pixels.
+    """Filter the light of blocks into pixels; banded over pixels. Of those that wait nothing is known (UNKNOWN).
+
+    Where nothing in a block reflects nothing is written.
 
     60 bytes a pixel that reflects: 44 read (surface and material 36, its share of the blocks 8; the taps are cached),
     16 written; 8 more are read at rest. 9 taps.
@@ -244,7 +270,7 @@ def upscale_samples(
         history: Of the frame before; at rest it tells how far away is what is reflected.
     """
     upscale_pixel(
-        views, gbuffer, options, part, samples, blocks, lights, history, first + wp.tid(), lights_out)
+        views, gbuffer, options, part, samples, blocks, lights, history, reprojection, first + wp.tid(), lights_out)
 
 
 @wp.kernel(cuda_max_registers=64)
@@ -259,9 +285,11 @@ def upscale_blocks(
     blocks: ReflectionBlocks,
     lights: ReflectionLight,
     history: ReflectionHistory,
+    reprojection: Reprojection,
     # Out:
     lights_out: ReflectionLight,
 ):
     """Do the same after other passes that weigh by ratios."""
     upscale_pixel(
-        views, gbuffer, options, known_pass(part, 0), samples, blocks, lights, history, first + wp.tid(), lights_out)
+        views, gbuffer, options, known_pass(part, 0), samples, blocks, lights, history, reprojection,
+        first + wp.tid(), lights_out)

@@ -9,7 +9,7 @@ from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.reflection_denoise import ReflectionDenoisePass
 from burnish.engine.settings import DenoiserSettings
 from burnish.kernels.gbuffer import GBuffer
-from burnish.kernels.reflection_types import LOBE_TRANSMISSION, ReflectionOptions, ReflectionSamples
+from burnish.kernels.reflection_types import LOBE_TRANSMISSION, WAITS, ReflectionOptions, ReflectionSamples
 from burnish.kernels.reprojection import Reprojection
 from burnish.kernels.view import View
 
@@ -185,7 +185,7 @@ class ReflectionFrames:
         halves = np.concatenate(
             [values, np.minimum(np.broadcast_to(distance, (len(place),)), 6e4)[:, None]], 1).astype(np.float16)
         self.samples.radiance.assign(np.ascontiguousarray(halves).view(np.uint64).reshape(-1))
-        self.samples.place.assign(np.where(valid, place, 255).astype(np.uint8))
+        self.samples.place.assign(np.where(valid, place, int(WAITS)).astype(np.uint8))
         self.samples.direction.assign(packed_normals(direction))
         self.samples.pdf.assign(np.where(valid, pdf, 0.0).astype(np.float32))
 

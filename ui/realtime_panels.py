@@ -38,6 +38,7 @@ class BURNISH_RENDER_PT_probes(RealtimePanel, Panel):
         column.prop(probes, "guiding")
         column.prop(probes, "specular_rays")
         column.prop(probes, "update_interval")
+        column.prop(probes, "half_rate")
         column = layout.column(heading="Light")
         column.prop(probes, "persistence")
         column.prop(probes, "filtering")

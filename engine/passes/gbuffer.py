@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import warp as wp
 
 from ...kernels import (
@@ -30,9 +32,12 @@ from ..frame_graph import FrameGraph
 from ..history import History
 from ..structures import Structures, is_flat
 from ..work_list import make_work_list
-from .primary_raster import PrimaryRaster, count_in_blocks
+from .primary_raster import OTHER_PIXELS, PrimaryRaster, count_in_blocks, notes_all_veils
 
-__all__ = ["GBufferPass"]
+__all__ = ["LAMPS", "GBufferPass"]
+
+LAMPS = "visible lamps"
+"""Branch of the graph that adds what the camera sees of lamps; the composite waits for it"""
 
 GBUFFER_ARRAYS = {
     "hit": wp.vec2i, "barycentrics": wp.uint32, "depth": wp.float32, "geometric_normal": wp.uint32,
@@ -81,7 +86,8 @@ class GBufferPass:
         self.hits = self._fill(
             PrimaryHits(), {"t": wp.float32, "hit": wp.vec2i, "barycentrics": wp.vec2}, count)
         self._fit_layers(1)
-        self.left = make_work_list(count, self.device)
+        self.full = make_work_list(count, self.device)
+        self._none = wp.zeros(0, dtype=wp.uint8, device=self.device)
         if self.raster is not None:
             self.raster.resize(width, height)
         self.reprojection = self._fill(Reprojection(), {"position": wp.vec2, "taps": wp.uint8}, count)
@@ -147,29 +153,39 @@ class GBufferPass:
                 self._fit_layers(count)
         with graph.section("Primary rays"):
             if self.raster is not None:
-                self.raster.record(graph, scene, structures, views, hits, filtered=filtered)
+                self.raster.record(graph, scene, structures, views, hits, self.layered, filtered=filtered)
             elif is_flat(scene):
                 trace = flat_tracing.trace_flat_layered_primary if filtered else flat_tracing.trace_flat_primary
                 graph.launch(trace, in_blocks, [views, scene, width, height], [hits])
             else:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
+            later = filtered and lean_layers and self.raster is not None and notes_all_veils(scene)
             if filtered:
-                self._record_layers(
-                    graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
+                with graph.branch(OTHER_PIXELS) if later else nullcontext():
+                    self._record_layers(
+                        graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
         with graph.section("Materials"):
+            # What is listed goes first, beside all others.
+            with graph.branch(OTHER_PIXELS):
+                if later:
+                    graph.launch_listed(
+                        gbuffer_lean.shade_lean_listed, [views, scene, width, layers, hits], self.raster.veiled,
+                        [gbuffer])
+                if not all_lean or scene.environment.constant == 0:
+                    graph.fill_list(gbuffer_lean.append_full, in_blocks, [scene, width, height, hits], self.full)
+                    shade = gbuffer_exact.shade_exact_primary if exact else gbuffer_materials.shade_primary
+                    graph.launch_listed(shade, [views, scene, width, layers, hits], self.full, [gbuffer], few=True)
             graph.launch(
-                gbuffer_lean.shade_lean, in_blocks, [views, scene, width, height, layers, hits], [gbuffer])
-            if not all_lean or scene.environment.constant == 0:
-                graph.fill_list(
-                    compaction.append_left_pixels, in_blocks, [gbuffer.hit, width, height], self.left)
-                shade = gbuffer_exact.shade_exact_primary if exact else gbuffer_materials.shade_primary
-                graph.launch_listed(
-                    shade, [views, scene, width, layers, hits], self.left, [gbuffer],
-                    few=True)
-            if scene.lights.lamp_count > 0:
-                graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])
+                gbuffer_lean.shade_lean, in_blocks,
+                [views, scene, width, height, layers, self.raster.seen.veiled if later else self._none, hits],
+                [gbuffer])
+            graph.join(OTHER_PIXELS)
             if scattering:
                 graph.launch(gbuffer_below.note_scattering, count, [views, scene, width], [gbuffer])
+            if scene.lights.lamp_count > 0:
+                # Nothing but the composite asks for them.
+                with graph.branch(LAMPS):
+                    graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])
         return gbuffer
 
     def record_reprojection(
@@ -190,8 +206,9 @@ class GBufferPass:
         if self.raster is None and not is_flat(scene):
             graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
         if lean:
-            graph.fill_list(
-                compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
+            if self.raster is None or not notes_all_veils(scene):
+                graph.fill_list(
+                    compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
             if lit:
                 graph.launch_listed(
                     gbuffer_behind.see_through, [views, scene, width], self.layered, [hits], few=True)

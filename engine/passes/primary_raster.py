@@ -19,7 +19,10 @@ from ..frame_graph import FrameGraph
 from ..structures import Structures
 from ..work_list import WorkList, make_work_list
 
-__all__ = ["PrimaryRaster", "count_in_blocks"]
+__all__ = ["OTHER_PIXELS", "PrimaryRaster", "count_in_blocks", "notes_all_veils"]
+
+OTHER_PIXELS = "other pixels"
+"""Branch of the graph for pixels behind triangles that need a test, and for those that take the full node machine"""
 
 RECORDS = 1 << 18
 """Triangles that may be dealt out: 12 MiB"""
@@ -34,6 +37,11 @@ def count_in_blocks(width: int, height: int) -> int:
     """Return how many threads a kernel has whose pixels go by pixel_in_blocks."""
     side = int(PIXEL_BLOCK)
     return -(-width // side) * -(-height // side) * side * side
+
+
+def notes_all_veils(scene: Scene) -> bool:
+    """Return whether all triangles that need a test are drawn: those of instances are not."""
+    return int(scene.geometry.instanced_filtered.nodes) == 0
 
 
 class PrimaryRaster:
@@ -59,10 +67,14 @@ class PrimaryRaster:
         self.lists.counts = wp.zeros(3, dtype=int, device=self.device)
 
     def record(
-        self, graph: FrameGraph, scene: Scene, structures: Structures, views: wp.array, hits: PrimaryHits, *,
-        filtered: bool,
+        self, graph: FrameGraph, scene: Scene, structures: Structures, views: wp.array, hits: PrimaryHits,
+        layered: WorkList, *, filtered: bool,
     ) -> None:
-        """Record finding what pixels show and, with `filtered`, the first triangle before it that needs a test."""
+        """Record finding what pixels show and, with `filtered`, the first triangle before it that needs a test.
+
+        With one pixels are known to show what they show once `seen.veiled` is 0 there; where it is not, once the branch
+        OTHER_PIXELS is through. Pixels that have such a triangle are put into `layered`, if notes_all_veils.
+        """
         geometry = scene.geometry
         count, in_blocks = self.width * self.height, count_in_blocks(self.width, self.height)
         graph.clear(self.seen.nearest)
@@ -72,18 +84,25 @@ class PrimaryRaster:
             if self.veiled is None:
                 self.seen.veiled = wp.zeros(count, dtype=wp.uint8, device=self.device)
                 self.veiled = make_work_list(count, self.device)
-            graph.clear(self.seen.veiled)
-            self._record_triangles(graph, structures.filtered, geometry.flat_filtered, views, veils=True)
+            with graph.branch(OTHER_PIXELS):
+                graph.clear(self.seen.veiled)
+                self._record_triangles(graph, structures.filtered, geometry.flat_filtered, views, veils=True)
         view = [views, scene, self.width]
         graph.launch(
             raster_resolve.resolve_hits, in_blocks, [*view, self.height, int(filtered), self.seen], [hits])
         if int(geometry.instanced.nodes) != 0:
             graph.launch(raster_resolve.resolve_instances, in_blocks, [*view, self.height], [hits])
-        if int(geometry.instanced_filtered.nodes) != 0:
+        if not filtered:
+            return
+        graph.join(OTHER_PIXELS)
+        if not notes_all_veils(scene):
             graph.launch(raster_resolve.trace_instanced_veils, count, [*view, self.seen], [hits])
-        elif filtered:
+            return
+        with graph.branch(OTHER_PIXELS):
             graph.fill_list(raster_resolve.append_veiled, in_blocks, [self.seen, self.width, self.height], self.veiled)
-            graph.launch_listed(raster_resolve.trace_veils, [*view, self.seen], self.veiled, [hits])
+            graph.empty_list(layered)
+            graph.launch_listed(
+                raster_resolve.trace_veils, view, self.veiled, [hits, layered.queue, layered.count])
 
     def _record_triangles(
         self, graph: FrameGraph, structure: FlatStructure, flat: FlatTriangles, views: wp.array, *, veils: bool,

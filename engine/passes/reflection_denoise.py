@@ -136,7 +136,7 @@ class ReflectionDenoisePass:
             for even, another for odd frames.
         """
         pixels, count = self.width * self.height, len(self.blocks.mark)
-        self.options, self._views = options, views
+        self.options, self._views, self._samples = options, views, samples
         source, target = self._lights
         graph.launch(
             reflection_blocks.gather_samples, count, [gbuffer, options, samples], [self.blocks, source])
@@ -159,11 +159,11 @@ class ReflectionDenoisePass:
         later = not last.first and last.ratio
         graph.launch(
             reflection_upscale.upscale_blocks if later else reflection_upscale.upscale_samples, pixels,
-            [views, gbuffer, options, last, samples, self.blocks, source, before], [self.filtered])
+            [views, gbuffer, options, last, samples, self.blocks, source, before, reprojection], [self.filtered])
         history = self.history.current(parity)
         graph.launch(
             reflection_temporal.accumulate_reflections, pixels,
-            [views, gbuffer, previous_gbuffer, reprojection, options, self.filtered, before,
+            [views, gbuffer, previous_gbuffer, reprojection, options, samples, self.filtered, before,
              int(self.settings.reflection_temporal), float(self.settings.reflection_history),
              float(self.settings.reflection_clamp)],
             [history])
@@ -186,7 +186,8 @@ class ReflectionDenoisePass:
         """Record drawing one of `debug_views` of this frame into `picture` (vec4 [h * w]); comes after record()."""
         show, history, views = reflection_filter_debug, self.history.current(parity), self._views
         kernel, inputs = {
-            "reflections.filtered": (show.show_filtered_reflections, [views, self.filtered]),
+            "reflections.filtered": (
+                show.show_filtered_reflections, [views, self.options, self._samples, self.filtered]),
             "reflections.history": (show.show_reflection_history, [history]),
             "reflections.variance": (show.show_reflection_variance, [history]),
             "reflections.marked": (show.show_marked_samples, [self.options, self.blocks]),

@@ -12,7 +12,6 @@ import numpy as np
 import warp as wp
 
 from ...kernels import (
-    compaction,
     probe_blend,
     probe_contact,
     probe_debug,
@@ -27,7 +26,9 @@ from ...kernels import (
     reflection_probes,
 )
 from ...kernels import probe_spawn as spawn
+from ...kernels.diffuse_temporal import DiffuseHistory
 from ...kernels.gbuffer import GBuffer
+from ...kernels.interpolation_turns import InterpolatedBefore
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.probe_types import BANDS, CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from ...kernels.reflection_types import ReflectionOptions, ReflectionSamples
@@ -104,6 +105,7 @@ class ScreenProbePass:
         grid.filtered, grid.specular = int(self.settings.filtering), int(self.settings.specular_rays)
         large = width * height > self.half_rate_pixels
         grid.interval = self.settings.update_interval if large else min(self.settings.update_interval, SMALL_INTERVAL)
+        grid.half_rate = int(self.settings.half_rate and large)
         grid.exact, grid.history = int(self.settings.energy_exact), float(self.settings.history)
         self.grid = grid
         self.pool = self._allocate(ProbePool, POOL, grid.slots)
@@ -115,8 +117,10 @@ class ScreenProbePass:
         self.guests = 0
         """Slots for rays of others, after the probes' own: the radiance cache answers all at once"""
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
-        self.specular_ratio = wp.zeros(width * height, dtype=wp.float16, device=self.device)
-        """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w])"""
+        self._ratios = [wp.zeros(width * height, dtype=wp.float16, device=self.device) for _ in range(2)]
+        self.specular_ratio = self._ratios[0]
+        """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w]), of
+        the frame recorded last"""
         self.unfilled = make_work_list(width * height, self.device)
         self.records = wp.zeros(
             2 * self.tile_count * int(probe_records.RECORD_WORDS), dtype=wp.uint64, device=self.device)
@@ -183,12 +187,13 @@ class ScreenProbePass:
 
     def record_light(
         self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer,
-        previous_color: wp.array, reprojection: Reprojection,
+        previous_color: wp.array, reprojection: Reprojection, parity: int = 0, known: DiffuseHistory | None = None,
     ) -> wp.array:
         """Record putting the rays' answers into the probes; returns the diffuse light of each pixel.
 
-        vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 (probe_interpolate.py);
-        `specular_ratio` is what reflections get of it.
+        vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 or KEPT
+        (probe_interpolate.py); `specular_ratio` is what reflections get of it. With means of the frame before (`known`)
+        pixels for which these do may leave turns out.
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         with graph.section("Probe blending"):
@@ -200,11 +205,15 @@ class ScreenProbePass:
             graph.launch(probe_light.project_bands, self.update_count * BANDS,
                          [grid, updates, self.rays, self.weights], [pool])
         with graph.section("Probe interpolation"):
+            before = InterpolatedBefore()
+            before.reprojection, before.mean = reprojection, known or DiffuseHistory()
+            before.ratio, self.specular_ratio = self._ratios[1 - parity], self._ratios[parity]
             images = [self.irradiance, self.specular_ratio]
             graph.launch(probe_records.record_probes, 2 * self.tile_count, [grid, views, tiles, pool], [self.records])
+            graph.empty_list(self.unfilled)
             graph.launch(probe_interpolate.interpolate_probes, self.tile_count * TILE * TILE,
-                         [grid, views, gbuffer, self.records, pool, self.moments], images)
-            graph.fill_list(compaction.append_unfilled, self.width * self.height, [self.irradiance], self.unfilled)
+                         [grid, views, gbuffer, self.records, pool, self.moments, before, int(graph.cuda)],
+                         [*images, self.unfilled.queue, self.unfilled.count])
             graph.launch_listed(
                 probe_interpolate.fill_gaps, [grid, views, gbuffer, self.records, tiles, pool, self.moments],
                 self.unfilled, images, few=True)
