@@ -3,64 +3,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from burnish.engine.passes import reflections
 from burnish.engine.scene import SceneDelta
-from burnish.engine.session import Session
-from burnish.engine.settings import (
-    CacheSettings,
-    DenoiserSettings,
-    Integrator,
-    ReflectionSettings,
-    SamplingSettings,
-)
 from burnish.kernels.reflection_types import WAITS
 
 from tests import scenes
-from tests.glossy_scenes import glossy, metal, panel
-from tests.light_scenes import look_at
-
-SIZE = (48, 32)
-WARM_UP = 48
+from tests.glossy_scenes import glossy, metal
+from tests.panning import SIZE, WARM_UP, Pan, floor, objects
 
 
-class Pan:
-    """A camera that moves over a floor, a little further in each frame."""
-
-    def __init__(self, delta, **denoiser):
-        self.settings = dataclasses.replace(
-            scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME),
-            cache=CacheSettings(capacity=16, cell_pixels=8.0, minimum_cell=0.02),
-            denoiser=DenoiserSettings(path_traced_rest=False, **denoiser),
-            reflections=ReflectionSettings(roughness_weak=0.5))
-        self.session, self.x = Session(self.settings), 0.0
-        self.session.update(delta)
-
-    def frame(self, delta=None):
-        """Render a frame; return which blocks were sampled, [rows, columns]."""
-        self.x += 0.002
-        if delta is not None:
-            self.session.update(delta)
-        self.session.configure(
-            self.settings, look_at((self.x, -1.8, 1.0), (self.x, 0.0, 0.0), SIZE, 0.8), *SIZE)
-        self.session.step(1)
-        place = self.session._realtime.pipeline.reflections.samples.place.numpy()
-        return (place < int(WAITS)).reshape(SIZE[1] // 2, SIZE[0] // 2)
-
-
-def floor(material, background=1.0):
-    """Make a floor of one material under a sky, and a panel that can be moved."""
-    meshes = {"floor": scenes.quad(50.0), "panel": scenes.quad(0.2)}
-    return scenes.delta(meshes, objects(), {"floor": material, "panel": panel((1.0, 0.5, 0.2), 4.0)},
-                        background=background)
-
-
-def objects(height=30.0):
-    """Return the floor and the panel above it."""
-    return [("floor", np.eye(4), "floor"), ("panel", scenes.place(z=height), "panel")]
+def step(pan, delta=None):
+    """Render a frame; return which blocks were sampled, [rows, columns]."""
+    pan.frame(delta)
+    place = pan.realtime.pipeline.reflections.samples.place.numpy()
+    return (place < int(WAITS)).reshape(SIZE[1] // 2, SIZE[0] // 2)
 
 
 @pytest.fixture
@@ -75,7 +33,7 @@ def test_known_blocks_take_turns(large, material):
     pan = Pan(floor(material))
     for _ in range(WARM_UP):
         pan.frame()
-    sampled = np.stack([pan.frame() for _ in range(8)])
+    sampled = np.stack([step(pan) for _ in range(8)])
     inner = sampled[:, 2:-2, 2:-2]
     assert (inner.sum(0) == 4).mean() > 0.98
     assert inner[0].mean() == pytest.approx(0.5, abs=0.03)
@@ -98,7 +56,7 @@ def test_other_blocks_do_not_wait(kind, monkeypatch):
             change = SceneDelta(instances=scenes.instances(objects(30.0 - index)))
         elif kind == "edited light" and index == 0:
             change = SceneDelta(world=scenes.world(2.0))
-        sampled = pan.frame(change)
+        sampled = step(pan, change)
         assert sampled.all(), index
 
 
@@ -109,11 +67,11 @@ def test_noisy_blocks_do_not_wait(large, frames, error, waits):
     pan = Pan(floor(metal(0.3)))
     for _ in range(WARM_UP):
         pan.frame()
-    frame = pan.session._realtime
+    frame = pan.realtime
     state = frame.pipeline.reflection_denoise.history.current(frame.views.parity).state
     words = np.tile(np.array([frames, 1.0, error * abs(frames)**0.5, 0.5], np.float16), (len(state), 1))
     state.assign(words.view(np.uint64).reshape(-1))
-    assert pan.frame()[2:-2, 2:-2].mean() == pytest.approx(0.5 if waits else 1.0, abs=0.03)
+    assert step(pan)[2:-2, 2:-2].mean() == pytest.approx(0.5 if waits else 1.0, abs=0.03)
 
 
 def test_light_stays(large):
@@ -121,9 +79,34 @@ def test_light_stays(large):
     pictures = []
     for wait in (True, False):
         pan = Pan(floor(metal(0.3), background=0.8))
-        pan.settings = dataclasses.replace(
-            pan.settings, reflections=dataclasses.replace(pan.settings.reflections, half_rate=wait))
+        pan.switch("reflections", half_rate=wait)
         for _ in range(WARM_UP + 16):
             pan.frame()
-        pictures.append(pan.session.read()[..., :3])
+        pictures.append(pan.picture())
     np.testing.assert_allclose(pictures[0].mean(), pictures[1].mean(), rtol=0.002)
+
+
+def test_pixels_that_wait_keep_their_means(large):
+    """Leave the means of a block that waits as they are, but filter a pixel whose own mean is too short for that."""
+    pan = Pan(floor(metal(0.3)))
+    for _ in range(WARM_UP):
+        pan.frame()
+    realtime = pan.realtime
+    denoise = realtime.pipeline.reflection_denoise
+    before = denoise.history.current(realtime.views.parity)
+    state = before.state.numpy().view(np.float16).reshape(SIZE[1], SIZE[0], 4).copy()
+    # Columns of which next to nothing is known, all in the blocks' left halves.
+    state[:, 8:24:4, 0] = 1.0
+    before.state.assign(state.view(np.uint64).reshape(-1))
+    waits = ~step(pan).repeat(2, 0).repeat(2, 1)
+    confidence = denoise.filtered.state.numpy().view(np.float16).reshape(SIZE[1], SIZE[0], 4)[..., 1]
+    inside = np.zeros_like(waits)
+    inside[4:-4, 26:-4] = True
+    assert waits[inside].mean() > 0.4
+    assert (confidence[waits & inside] < 0.0).all()
+    assert (confidence[~waits & inside] >= 0.0).all()
+    inside[:] = False
+    inside[4:-4, 8:24:4] = True
+    assert (confidence[inside] >= 0.0).all()
+    light = denoise.history.current(realtime.views.parity).light.numpy().reshape(SIZE[1], SIZE[0])
+    assert (light[4:-4, 4:-4] != 0).all()
