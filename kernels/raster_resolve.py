@@ -136,6 +136,8 @@ def trace_veils(
     views: wp.array[View],
     scene: Scene,
     width: int,
+    seen: Visibility,
+    listing: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
@@ -146,16 +148,17 @@ def trace_veils(
 ):
     """Find the first triangle that needs a test before what listed pixels show, as trace_primary_layers does.
 
-    CUDA only; pixels that have one are appended to another list.
+    With `listing` pixels that have one are appended to another list (CUDA only: in one launch).
     """
     i = wp.tid()
     while i < count[0]:
         pixel = queue[i]
-        ray = primary_ray(load_view(views), pixel % width, pixel // width)
-        layer = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
-        store_primary_layer(hits_out, pixel, layer)
-        if layer.hit.instance != MISS and layer.solid == 0:
-            queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
+        if seen.veiled[pixel] != wp.uint8(0):
+            ray = primary_ray(load_view(views), pixel % width, pixel // width)
+            layer = closest_flat_layer(scene.geometry, ray.origin, ray.direction, hits_out.t[pixel])
+            store_primary_layer(hits_out, pixel, layer)
+            if listing == 1 and layer.hit.instance != MISS and layer.solid == 0:
+                queue_out[wp.atomic_add(count_out, 0, 1)] = pixel
         i = i + stride
 
 

@@ -102,7 +102,8 @@ class PrimaryRaster:
             graph.fill_list(raster_resolve.append_veiled, in_blocks, [self.seen, self.width, self.height], self.veiled)
             graph.empty_list(layered)
             graph.launch_listed(
-                raster_resolve.trace_veils, view, self.veiled, [hits, layered.queue, layered.count])
+                raster_resolve.trace_veils, [*view, self.seen, int(graph.cuda)], self.veiled,
+                [hits, layered.queue, layered.count])
 
     def _record_triangles(
         self, graph: FrameGraph, structure: FlatStructure, flat: FlatTriangles, views: wp.array, *, veils: bool,
