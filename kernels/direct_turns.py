@@ -9,9 +9,9 @@ from .camera_motion import only_camera_moves
 from .direct_reservoir import TILE_SLOTS, DirectOptions, tile_columns
 from .direct_temporal import DirectHistory, albedos
 from .gbuffer import GBuffer
-from .long_mean import ALL_TAPS, nearest_tap
+from .long_mean import pixel_before
 from .packed_halves import unpack_halves
-from .reprojection import Reprojection, known_taps, tap_pixel
+from .reprojection import Reprojection
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -32,11 +32,10 @@ def known_pixel(
     """
     if history.length.shape[0] == 0 or not only_camera_moves(view):
         return -1
-    if int(known_taps(reprojection, pixel)) != ALL_TAPS:
+    before = pixel_before(reprojection, pixel, options.width)
+    if before < 0 or float(history.length[before]) < KNOWN_FRAMES:
         return -1
-    position = reprojection.position[pixel]
-    before = tap_pixel(position, nearest_tap(position), options.width)
-    return wp.where(float(history.length[before]) >= KNOWN_FRAMES, before, -1)
+    return before
 
 
 @wp.func

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .camera import CameraRay, camera_ray
-from .gbuffer import SURFACE_EMITS, SURFACE_VEILED, GBuffer
+from .gbuffer import SURFACE_EMITS, SURFACE_VEILED
 from .geometry_math import is_finite3
 from .intersect import MISS, Hit, Layer, closest_hit, closest_layer
 from .lamp_hit import FAR
@@ -148,9 +148,13 @@ def add_lamps(
     layers: int,
     hits: PrimaryHits,
     # Out:
-    gbuffer_out: GBuffer,
+    emission_out: wp.array[wp.vec4h],
+    material_out: wp.array[wp.uint32],
 ):
-    """Add the lamps that the camera sees in front of its hits; they hide nothing. One pixel a thread."""
+    """Add the lamps that the camera sees in front of its hits; they hide nothing. One pixel a thread.
+
+    Of GBuffer.emission and GBuffer.material, of which SURFACE_EMITS alone changes: others may read the rest meanwhile.
+    """
     pixel = first + wp.tid()
     view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
@@ -161,6 +165,6 @@ def add_lamps(
     total = wp.cw_mul(total, light_weight(hits, layers, pixel))
     total = total * view.exposure
     if is_finite3(total) and wp.length_sq(total) > 0.0:
-        gbuffer_out.emission[pixel] = to_half(from_half(gbuffer_out.emission[pixel]) + rgba(total, 0.0))
+        emission_out[pixel] = to_half(from_half(emission_out[pixel]) + rgba(total, 0.0))
         # Whoever takes this picture for the light of the surface would find the lamp on it.
-        gbuffer_out.material[pixel] = gbuffer_out.material[pixel] | SURFACE_EMITS
+        material_out[pixel] = material_out[pixel] | SURFACE_EMITS

@@ -7,11 +7,11 @@ import warp as wp
 
 from .camera_motion import only_camera_moves
 from .diffuse_temporal import DiffuseHistory
-from .long_mean import ALL_TAPS, nearest_tap, unpack_mean
+from .long_mean import pixel_before, unpack_mean
 from .packed_halves import unpack_halves
 from .packing import rgba, to_half
 from .probe_types import ProbeGrid
-from .reprojection import Reprojection, known_taps, tap_pixel
+from .reprojection import Reprojection
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -42,10 +42,9 @@ def known_pixel(view: View, grid: ProbeGrid, before: InterpolatedBefore, tile: i
     turn = tile % grid.tile_columns + tile // grid.tile_columns + view.frame
     if grid.half_rate == 0 or (turn & 1) == 1 or before.mean.state.shape[0] == 0 or not only_camera_moves(view):
         return -1
-    if int(known_taps(before.reprojection, pixel)) != ALL_TAPS:
+    found = pixel_before(before.reprojection, pixel, grid.width)
+    if found < 0:
         return -1
-    position = before.reprojection.position[pixel]
-    found = tap_pixel(position, nearest_tap(position), grid.width)
     state = unpack_halves(before.mean.state[found])
     return wp.where(state[0] >= KNOWN_FRAMES and state[3] == 0.0, found, -1)
 

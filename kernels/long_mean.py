@@ -11,7 +11,7 @@ import warp as wp
 
 from .gbuffer import GBuffer
 from .packing import HALF_MAX
-from .reprojection import has_moved, has_tap
+from .reprojection import Reprojection, has_moved, has_tap, known_taps, tap_pixel
 from .wide_loads import load_four_floats, load_two_floats, load_two_words, load_word
 
 # Brings 2^-47..2^16 down to where the exponent of float32 has its two upper bits 0, and back.
@@ -255,6 +255,15 @@ def nearest_tap(position: wp.vec2) -> int:
     right = wp.where(position[0] - 0.5 - wp.floor(position[0] - 0.5) > 0.5, 1, 0)
     above = wp.where(position[1] - 0.5 - wp.floor(position[1] - 0.5) > 0.5, 2, 0)
     return right + above
+
+
+@wp.func
+def pixel_before(reprojection: Reprojection, pixel: int, width: int) -> int:
+    """Return the pixel of the frame before where a pixel's surface was; -1 unless all four around show it."""
+    if int(known_taps(reprojection, pixel)) != ALL_TAPS:
+        return -1
+    position = reprojection.position[pixel]
+    return tap_pixel(position, nearest_tap(position), width)
 
 
 @wp.func

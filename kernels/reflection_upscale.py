@@ -12,7 +12,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_material
 from .geometry_math import sqr
-from .long_mean import nearest_tap
+from .long_mean import pixel_before
 from .packed_halves import pack_halves, unpack_halves
 from .packing import rgb, rgba
 from .reflection_atrous import EXPONENT_MAX, WEIGHT_NONE, gaussian, load_reflection, load_root, tap_weight
@@ -33,7 +33,7 @@ from .reflection_blocks import (
 from .reflection_lobe import FilterLobe, FilterPass, angle_of_pixel, filter_lobe, known_pass, pass_sigma
 from .reflection_turns import WAITING_FRAMES
 from .reflection_types import NO_SAMPLE, WAITS, ReflectionOptions, ReflectionSamples, block_of, is_sampled
-from .reprojection import Reprojection, has_tap, tap_pixel
+from .reprojection import Reprojection
 from .sampling import hash32, hash_combine, to_unit
 from .view import SKY_DEPTH, View
 from .wide_loads import load_view
@@ -163,11 +163,10 @@ def is_known(
     options: ReflectionOptions, history: ReflectionHistory, reprojection: Reprojection, pixel: int,
 ) -> bool:
     """Return whether a pixel has a mean that does for it while its block waits."""
-    position = reprojection.position[pixel]
-    nearest = nearest_tap(position)
-    if not has_tap(reprojection.taps[pixel], nearest):
+    before = pixel_before(reprojection, pixel, options.width)
+    if before < 0:
         return False
-    return unpack_halves(history.state[tap_pixel(position, nearest, options.width)])[0] >= WAITING_FRAMES
+    return unpack_halves(history.state[before])[0] >= WAITING_FRAMES
 
 
 @wp.func

@@ -185,7 +185,9 @@ class GBufferPass:
             if scene.lights.lamp_count > 0:
                 # Nothing but the composite asks for them.
                 with graph.branch(LAMPS):
-                    graph.launch(gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits], [gbuffer])
+                    graph.launch(
+                        gbuffer_rays.add_lamps, count, [views, scene, width, layers, hits],
+                        [gbuffer.emission, gbuffer.material])
         return gbuffer
 
     def record_reprojection(

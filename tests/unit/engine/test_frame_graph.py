@@ -83,15 +83,32 @@ def may_share_cells(a, b):
         "update_cells" in (a, b) and not CELL_READERS.isdisjoint({a, b}))
 
 
+LISTED_PIXELS = {
+    "append_veiled", "trace_veils", "see_through", "filter_primary_lean", "shade_lean_listed", "append_full",
+    "shade_primary", "shade_exact_primary"}
+"""They read and write pixels that shade_lean leaves out; append_full reads what it does not change"""
+
+LAMP_READERS = {"compose", "add_contact"}
+"""They look at what add_lamps writes: light that lamps emit, and which pixels show one"""
+
+
+def may_share_pixels(a, b):
+    """Return whether two kernels may work on pixels side by side, as they touch others or other bits of them."""
+    if "add_lamps" in (a, b):
+        return LAMP_READERS.isdisjoint({a, b})
+    return "shade_lean" in (a, b) and not LISTED_PIXELS.isdisjoint({a, b})
+
+
 def overlap(a, b):
     """Return whether two sets of memory have a byte in common."""
     return any(low < end and start < high for low, high in a for start, end in b)
 
 
-def races(graph, cells=frozenset()):
+def races(graph, cells=frozenset(), surfaces=frozenset()):
     """Return the pairs of kernels of which one changes what the other touches though neither waits for the other.
 
-    Also returns how many pairs may run side by side. `cells`: memory that CELL_KERNELS may share.
+    Also returns how many pairs may run side by side. `cells`: memory that CELL_KERNELS may share, `surfaces`: that
+    kernels may share that work on other pixels.
     """
     before = {"": set()}
     done, found, beside = [], [], 0
@@ -104,7 +121,11 @@ def races(graph, cells=frozenset()):
             if index not in before[step.branch]:
                 beside += 1
                 shared = cells if may_share_cells(kernel, step.kernel) else frozenset()
-                if overlap(writes - shared, other_reads | other_writes) or overlap(reads - shared, other_writes):
+                if may_share_pixels(kernel, step.kernel):
+                    shared = surfaces
+                both = "add_lamps" in (kernel, step.kernel) and overlap(writes, other_writes)
+                if both or overlap(writes - shared, other_reads | other_writes) or overlap(
+                        reads - shared, other_writes):
                     found.append((kernel, step.kernel))
         before[step.branch].add(len(done))
         done.append((step.kernel, reads, writes))
@@ -122,11 +143,13 @@ def test_branches_do_not_race():
     pipeline, views = made._realtime.pipeline, made._realtime.views
     motion = pipeline.motion.advance(made._scene)
     cells = frozenset(addresses([pipeline.cache.grid, pipeline.cache.control]))
+    seen = pipeline.gbuffer
+    surfaces = frozenset(addresses([seen.current(0), seen.hits]))
     for resting, phase in itertools.product((False, True), LightPhase):
         graph, *_ = pipeline._record(0, resting, phase, made._scene, views.array, motion)
         sections = {step.section for step in graph._steps}
         assert {"Reflection denoising", "Refraction denoising", "Direct denoising", "Cache cells"} <= sections
-        found, beside = races(graph, cells)
+        found, beside = races(graph, cells, surfaces)
         assert not found, (resting, phase, sorted(set(found)))
         assert beside > 500
 
