@@ -75,9 +75,9 @@ LIGHTS = ("point", "spot", "area", "sun", "sun and point", "emitter", "textured 
 
 
 
-def savings(lights, thorough):
-    """Return pairs of a light and a name of SETTINGS: the default and without savings, all of them for one light."""
-    return [pytest.param(light, name, marks=() if light == thorough or name in ("plain", "both") else pytest.mark.slow)
+def savings(lights, fast):
+    """Return all pairs of a light and a name of SETTINGS; `fast` are the names, by light, that aren't slow."""
+    return [pytest.param(light, name, marks=() if name in fast.get(light, ()) else pytest.mark.slow)
             for light in lights for name in SETTINGS]
 
 
@@ -87,7 +87,9 @@ def plane_truth(light):
     return reference(lit(light), CAMERA, samples=2048).mean((0, 1))
 
 
-@pytest.mark.parametrize(("light", "name"), savings(LIGHTS, "many"))
+@pytest.mark.parametrize(("light", "name"), savings(LIGHTS, {
+    "many": SETTINGS,
+    **dict.fromkeys(("spot", "area", "sun and point", "textured emitter and lamp", "world"), ("both",))}))
 def test_mean_is_that_of_the_path_tracer(light, name):
     """Give the path tracer's direct light on average, whether or not samples and shadow rays are shared."""
     mean = Frames(lit(light), CAMERA, **SETTINGS[name]).mean(1024)
@@ -108,7 +110,8 @@ def glossy_truth(light):
     return reference(*glossy(light), samples=4096).mean()
 
 
-@pytest.mark.parametrize(("light", "name"), savings(("area", "emitter", "many"), "many"))
+@pytest.mark.parametrize(("light", "name"), savings(("area", "emitter", "many"), {
+    "area": ("plain", "both"), "emitter": ("plain", "both")}))
 def test_glossy_surface(light, name):
     """Give the path tracer's highlight on average at roughness 0.3."""
     mean = Frames(*glossy(light), **SETTINGS[name]).mean(1024)

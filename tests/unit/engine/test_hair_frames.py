@@ -56,12 +56,13 @@ def light(scene, frames, **groups):
     return setup.picture(scene, frames)[where].mean(0), setup.truth(scene)[where].mean(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("absorption", "place", "surface"), [
-    pytest.param(PALE, BEFORE, 0.1, id="pale", marks=pytest.mark.slow),
-    pytest.param(BROWN, BEFORE, 0.25, id="brown", marks=pytest.mark.slow),
+    pytest.param(PALE, BEFORE, 0.1, id="pale"),
+    pytest.param(BROWN, BEFORE, 0.25, id="brown"),
     pytest.param(BLACK, BEFORE, 0.4, id="black"),
-    pytest.param(PALE, BEHIND, 0.5, id="pale lit from behind", marks=pytest.mark.slow),
-    pytest.param(BROWN, BEHIND, 0.7, id="brown lit from behind", marks=pytest.mark.slow),
+    pytest.param(PALE, BEHIND, 0.5, id="pale lit from behind"),
+    pytest.param(BROWN, BEHIND, 0.7, id="brown lit from behind"),
 ])
 def test_hair_has_the_light_of_path_tracing(absorption, place, surface) -> None:
     """Bring the light that strands scatter; drawn as surfaces, hair is off by far more."""

@@ -102,10 +102,11 @@ def truth(light, roughness):
     return reference(glossy(light, roughness), CAMERA, samples=4096).mean()
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-@pytest.mark.parametrize("light", ["area", "lamps", "panels"])
-@pytest.mark.parametrize("roughness", [0.1, 0.25])
-def test_both_sides_add_up_to_the_path_tracer(light, name, roughness):
+@pytest.mark.parametrize(("roughness", "light", "name"), [
+    pytest.param(roughness, light, name, marks=() if light == fast else pytest.mark.slow)
+    for roughness, fast in ((0.1, "panels"), (0.25, "lamps")) for light in ("area", "lamps", "panels")
+    for name in SETTINGS])
+def test_both_sides_add_up_to_the_path_tracer(roughness, light, name):
     """Give the path tracer's light in direct light and in the rays' share together, where both have a part of it."""
     settings, expected = ReflectionSettings(), truth(light, roughness)
     frames = Frames(glossy(light, roughness), CAMERA, reflections=settings, **SETTINGS[name])

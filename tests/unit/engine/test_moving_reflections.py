@@ -91,10 +91,10 @@ def test_turning_mirrors_leave_no_ghosts():
     assert kept < 0.85 * alone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("made", "share"), [
-    pytest.param(lambda: glossy_scenes.colored_room(SIZE, metal(0.4)), 0.95, marks=pytest.mark.slow),
-    pytest.param(
-        lambda: glossy_scenes.colored_room(SIZE, glossy(color=0.05, roughness=0.3)), 0.97, marks=pytest.mark.slow),
+    (lambda: glossy_scenes.colored_room(SIZE, metal(0.4)), 0.95),
+    (lambda: glossy_scenes.colored_room(SIZE, glossy(color=0.05, roughness=0.3)), 0.97),
     (lambda: glossy_scenes.rough_metal(SIZE), 0.95)])
 def test_highlights_follow_the_camera(made, share):
     """Follow the image of what rough floors and balls show as the camera goes around them: better than no means."""

@@ -118,7 +118,7 @@ def lit_room(albedo=0.7, strength=20.0):
         {"wall": scenes.material(color=albedo), "red": scenes.material(color=(0.6, 0.2, 0.1))}, [lamp])
 
 
-@pytest.mark.parametrize("albedo", [0.5, 0.8, 0.9])
+@pytest.mark.parametrize("albedo", [*(pytest.param(a, marks=pytest.mark.slow) for a in (0.5, 0.8)), 0.9])
 def test_furnace(device, albedo):
     """Find albedo / (1 - albedo) reflected everywhere in a box that emits 1, within 1 %, soon and for good."""
     rig = Rig(furnace(albedo), device)
@@ -129,7 +129,8 @@ def test_furnace(device, albedo):
     np.testing.assert_allclose(rig.mean_of(32), expected, rtol=0.01)
 
 
-@pytest.mark.parametrize(("bounces", "path_bounces"), [(1, 1), (2, 2), (0, 0)])
+@pytest.mark.parametrize(("bounces", "path_bounces"), [
+    (1, 1), (2, 2), pytest.param(0, 0, marks=pytest.mark.slow)])
 def test_bounces_match_the_path_tracer(device, bounces, path_bounces):
     """See the path tracer's picture of a room with one, two and all bounces: whole, and its quarters."""
     camera = scenes.camera_above(height=0.7, half=0.5, orthographic=False)

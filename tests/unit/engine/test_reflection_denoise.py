@@ -203,6 +203,7 @@ def test_highlights_keep_their_width(roughness: float) -> None:
     assert mean.sum() / truth.sum() == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_published_weights_narrow_and_darken() -> None:
     """Do what the published weights do where they are asked for: too narrow and dark."""
     truth, mean = highlight(0.2, 12, reflection_ratio=False, reflection_cleanup=False)

@@ -19,9 +19,9 @@ def check(result):
     assert not missed, "\n".join(missed)
 
 
-@pytest.mark.parametrize("kinds", [
-    ("plastic", "metal"), pytest.param(("coated plastic", "coated metal"), marks=pytest.mark.slow),
-    pytest.param(("half metal",), marks=pytest.mark.slow), pytest.param(("glass",), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kinds", [("plastic", "metal"), ("coated plastic", "coated metal"), ("half metal",), ("glass",)])
 def test_white_balls(kinds):
     """Find the light of Reference on white balls of every roughness in a white world."""
     if "glass" in kinds:

@@ -195,9 +195,9 @@ def glass_room():
 
 
 @pytest.mark.parametrize(("room", "eye", "target", "tolerance"), [
-    (mirror_room, (-0.8, -1.8, 0.9), (0.1, 0.8, 0.2), 0.05),
+    pytest.param(mirror_room, (-0.8, -1.8, 0.9), (0.1, 0.8, 0.2), 0.05, marks=pytest.mark.slow),
     (facing_mirrors, (-0.3, -1.2, 1.0), (0.1, 1.5, 0.8), 0.05),
-    (glass_room, (-0.3, -1.8, 0.9), (0.1, 1.5, 0.5), 0.03),
+    pytest.param(glass_room, (-0.3, -1.8, 0.9), (0.1, 1.5, 0.5), 0.03, marks=pytest.mark.slow),
 ])
 def test_pictures_are_the_path_tracers(room, eye, target, tolerance):
     """See in mirrors, in mirrors in mirrors and through glass what the path tracer sees, by sums and by pixels."""
@@ -249,7 +249,7 @@ def blind_room(layers, behind):
 
 
 @pytest.mark.parametrize(("layers", "behind"), [
-    (1, 0.0), (2, 1.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((1, 1.0), (2, 0.0)))])
+    (1, 0.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 1.0), (1, 1.0), (2, 0.0)))])
 def test_translucent_surfaces_are_lit_from_behind(layers, behind):
     """Show through a blind the light that arrives behind it, bounced and direct, once each.
 
@@ -262,8 +262,9 @@ def test_translucent_surfaces_are_lit_from_behind(layers, behind):
 
 
 @pytest.mark.parametrize("material", [
-    metal(0.0), metal(0.1), metal(0.2), metal(0.28), glossy(color=0.3, roughness=0.1),
-    glossy(color=0.3, roughness=0.5, coat=1.0, coat_roughness=0.1)])
+    metal(0.0), pytest.param(metal(0.1), marks=pytest.mark.slow), pytest.param(metal(0.2), marks=pytest.mark.slow),
+    metal(0.28), pytest.param(glossy(color=0.3, roughness=0.1), marks=pytest.mark.slow),
+    pytest.param(glossy(color=0.3, roughness=0.5, coat=1.0, coat_roughness=0.1), marks=pytest.mark.slow)])
 def test_lamps_are_shown_once(material):
     """Share a lamp between rays and light samples, so that together they show it once, at every roughness."""
     lamp = scenes.lamp("AREA", 60.0, scenes.place(y=0.6, z=1.9), shape="SQUARE", size_x=0.8, size_y=0.8)

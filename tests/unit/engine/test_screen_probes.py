@@ -64,8 +64,9 @@ def test_white_sky(orthographic, tilt, specular, exposure):
     assert b.probes.stats()["updated"] == b.probes.update_count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "angle"), [
-    ({}, 1.1), *(pytest.param(changes, angle, marks=pytest.mark.slow) for angle in (0.3, 1.1) for changes in (
+    ({}, 1.1), *((changes, angle) for angle in (0.3, 1.1) for changes in (
         {}, {"guiding": False}, {"spawn_tile": 8}, {"filtering": False}) if changes or angle < 1.0)])
 def test_small_light(changes, angle):
     """Find the irradiance of a small bright light exactly in the mean, with and without guiding."""
@@ -192,6 +193,7 @@ def test_contact_is_neutral_in_the_open():
     assert np.abs(b.probes.contact.numpy().astype(np.float32)[:, :3]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_contact_brings_detail():
     """Come closer to the truth beside a low dark block than the probes alone."""
     errors = []

@@ -51,10 +51,11 @@ def body_light(scene: LitScene, frames: int, **groups) -> tuple[np.ndarray, np.n
     return setup.picture(scene, frames)[body].mean(0), setup.truth(scene)[body].mean(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "place", "mesh", "error", "matte"), [
-    pytest.param(FAR, BEFORE, None, 0.1, 0.15, id="ball", marks=pytest.mark.slow),
-    pytest.param(FAR, BEHIND, None, 0.1, 0.6, id="ball lit from behind", marks=pytest.mark.slow),
-    pytest.param(NEAR, BEHIND, None, 0.1, 0.25, id="less far", marks=pytest.mark.slow),
+    pytest.param(FAR, BEFORE, None, 0.1, 0.15, id="ball"),
+    pytest.param(FAR, BEHIND, None, 0.1, 0.6, id="ball lit from behind"),
+    pytest.param(NEAR, BEHIND, None, 0.1, 0.25, id="less far"),
     pytest.param(FAR, BEHIND, slab(), 0.12, 0.8, id="slab lit from behind"),
 ])
 def test_bodies_have_the_light_of_path_tracing(radius, place, mesh, error, matte) -> None:
@@ -76,9 +77,10 @@ def test_methods_and_anisotropy_count(method) -> None:
     assert found == pytest.approx(expected, rel=0.1)
 
 
-@pytest.mark.parametrize("method", ["WALK", "LEGACY", "SKIN"])
-@pytest.mark.parametrize("radius", [2e-3, 0.03, 0.2])
-def test_planes_return_what_walks_bring(method, radius) -> None:
+@pytest.mark.parametrize(("radius", "method"), [
+    pytest.param(radius, method, marks=() if fast == method else pytest.mark.slow)
+    for radius, fast in ((2e-3, "LEGACY"), (0.03, "SKIN"), (0.2, "WALK")) for method in ("WALK", "LEGACY", "SKIN")])
+def test_planes_return_what_walks_bring(radius, method) -> None:
     """Return what a plane does in path tracing, within a pixel, by the profile and by walks: less than if diffuse."""
     distance = radius * 4.0 * np.pi if method == "LEGACY" else radius
     delta = scenes.delta({"body": scenes.box(5.0)}, [("body", np.eye(4), "wax")],

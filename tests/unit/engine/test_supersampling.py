@@ -132,7 +132,7 @@ def test_a_region_is_where_it_was(doubled: None) -> None:
     assert np.abs(part - whole[6:27, 10:43]).mean() < 0.03 * whole.mean()
 
 
-@pytest.mark.parametrize("frames", [6, 32])
+@pytest.mark.parametrize("frames", [6, pytest.param(32, marks=pytest.mark.slow)])
 def test_light_passes_make_up_the_picture(frames: int, doubled: None) -> None:
     """Sum up direct and indirect light times colours to the picture, at its size, while light spreads and after."""
     names = tuple(f"{lobe} {part}" for lobe in ("Diffuse", "Glossy") for part in ("Direct", "Indirect", "Color"))

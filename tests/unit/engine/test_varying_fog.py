@@ -108,6 +108,7 @@ def test_thick_bodies_have_grids_of_their_own():
     assert thick > thin
 
 
+@pytest.mark.slow
 def test_rays_walk_through_what_varies_alone():
     """Go through fog by steps where some varies: even fog has formulas, and no list of rays to walk."""
     kernels = {}

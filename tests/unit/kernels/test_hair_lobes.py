@@ -149,7 +149,8 @@ def test_offsets_are_even_over_a_tube():
     np.testing.assert_allclose(out.numpy(), np.broadcast_to(1 - 2 * places, out.shape), atol=2e-3)
 
 
-@pytest.mark.parametrize("absorption", [0.1, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("absorption", [0.1, 2.0])
 def test_darker_hair_passes_less(absorption):
     """More absorption means less light from all sides."""
     pale, dark = (estimates((value,) * 3)[0][..., 0] for value in (absorption, 2 * absorption))
