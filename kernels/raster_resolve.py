@@ -39,10 +39,12 @@ def nearest_weights(p: wp.vec3, q: wp.vec3, r: wp.vec3, point: wp.vec3) -> wp.ve
 
 
 @wp.func
-def seen_hit(geometry: Geometry, frame: FrameData, seen: Visibility, pixel: int, ray: CameraRay) -> Hit:
-    """Return the hit in a pixel of the visibility buffer."""
+def seen_hit(
+    geometry: Geometry, frame: FrameData, nearest: wp.array[wp.uint64], pixel: int, ray: CameraRay,
+) -> Hit:
+    """Return the hit in a pixel of the visibility buffer; `nearest`: as in Visibility."""
     hit = no_hit(ray.t_max)
-    key = seen.nearest[pixel]
+    key = nearest[pixel]
     if key != wp.uint64(0):
         ids = geometry.flat.faces[key_face(key)]
         to_world = load_instance(geometry.instances, ids[0]).to_world
@@ -74,7 +76,7 @@ def resolve_hits(
     width: int,
     height: int,
     filtered: int,
-    seen: Visibility,
+    nearest: wp.array[wp.uint64],
     # Out:
     hits_out: PrimaryHits,
 ):
@@ -84,7 +86,7 @@ def resolve_hits(
         return
     view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
-    store_primary_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, seen, pixel, ray))
+    store_primary_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, nearest, pixel, ray))
     if filtered == 1:
         hits_out.layer[pixel] = wp.vec2i(MISS, 0)
         hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)

@@ -161,6 +161,8 @@ class GBufferPass:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
             later = filtered and lean_layers and self.raster is not None and notes_all_veils(scene)
             if filtered:
+                if not later:
+                    graph.join(OTHER_PIXELS)
                 with graph.branch(OTHER_PIXELS) if later else nullcontext():
                     self._record_layers(
                         graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))

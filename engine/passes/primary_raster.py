@@ -89,7 +89,7 @@ class PrimaryRaster:
                 self._record_triangles(graph, structures.filtered, geometry.flat_filtered, views, veils=True)
         view = [views, scene, self.width]
         graph.launch(
-            raster_resolve.resolve_hits, in_blocks, [*view, self.height, int(filtered), self.seen], [hits])
+            raster_resolve.resolve_hits, in_blocks, [*view, self.height, int(filtered), self.seen.nearest], [hits])
         if int(geometry.instanced.nodes) != 0:
             graph.launch(raster_resolve.resolve_instances, in_blocks, [*view, self.height], [hits])
         if not filtered:

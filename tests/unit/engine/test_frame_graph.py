@@ -5,14 +5,19 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import warp as wp
 from burnish.engine.device import choose_device
+from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
+from burnish.engine.motion import MotionTracker
 from burnish.engine.passes.cache_buffers import VERTEX_ARRAYS
 from burnish.engine.passes.cache_spreading import LightPhase
+from burnish.engine.passes.gbuffer import GBufferPass
 from burnish.engine.scene import LightKind
 from burnish.engine.session import Session
-from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
+from burnish.engine.settings import CacheSettings, Integrator, PerformanceSettings, SamplingSettings
+from burnish.engine.view_data import ViewTracker
 from burnish.kernels import compaction
 from burnish.kernels.cache_rays import Vertices
 from burnish.kernels.paths import ENDED, Paths
@@ -88,6 +93,9 @@ LISTED_PIXELS = {
     "shade_primary", "shade_exact_primary"}
 """They read and write pixels that shade_lean leaves out; append_full reads what it does not change"""
 
+DRAWING = {"raster_triangles", "raster_blocks", "raster_tiles"}
+"""They find what pixels show, which resolve_hits reads; beside it they only note pixels behind veils"""
+
 LAMP_READERS = {"compose", "add_contact"}
 """They look at what add_lamps writes: light that lamps emit, and which pixels show one"""
 
@@ -96,6 +104,8 @@ def may_share_pixels(a, b):
     """Return whether two kernels may work on pixels side by side, as they touch others or other bits of them."""
     if "add_lamps" in (a, b):
         return LAMP_READERS.isdisjoint({a, b})
+    if "resolve_hits" in (a, b):
+        return not DRAWING.isdisjoint({a, b})
     return "shade_lean" in (a, b) and not LISTED_PIXELS.isdisjoint({a, b})
 
 
@@ -152,6 +162,23 @@ def test_branches_do_not_race():
         found, beside = races(graph, cells, surfaces)
         assert not found, (resting, phase, sorted(set(found)))
         assert beside > 500
+
+
+@pytest.mark.parametrize("lean", [True, False])
+def test_drawn_pixels_do_not_race(lean):
+    """Record visible surfaces that are drawn, with layers for the lean node machine or for the full one."""
+    scene, views = DeviceScene(DEVICE), ViewTracker(DEVICE)
+    scene.apply(room(), PerformanceSettings())
+    made, graph = GBufferPass(DEVICE, rasterizing=True), FrameGraph(DEVICE)
+    made.resize(24, 16)
+    made.record(graph, 0, scene.scene, scene.structures, views.array, filtered=True, lean_layers=lean)
+    made.record_reprojection(graph, 0, scene.scene, views.array, MotionTracker(DEVICE).advance(scene))
+    found, beside = races(graph, surfaces=frozenset(addresses([made.current(0), made.hits, made.raster.seen])))
+    assert not found
+    assert beside > 0
+    kernels = {kernel for _, kernel in graph.launch_list()}
+    assert {"trace_veils", "shade_primary", "add_lamps"} <= kernels
+    assert ("shade_lean_listed" in kernels) == lean
 
 
 def test_races_are_found():
