@@ -72,8 +72,8 @@ class PrimaryRaster:
     ) -> None:
         """Record finding what pixels show and, with `filtered`, the first triangle before it that needs a test.
 
-        With one pixels are known to show what they show once `seen.veiled` is 0 there; where it is not, once the branch
-        OTHER_PIXELS is through. Pixels that have such a triangle are put into `layered`, if notes_all_veils.
+        Where `seen.veiled` is 0 it is known then what a pixel shows, elsewhere, if notes_all_veils, once the branch
+        OTHER_PIXELS is through. In that case pixels that have such a triangle are put into `layered`.
         """
         geometry = scene.geometry
         count, in_blocks = self.width * self.height, count_in_blocks(self.width, self.height)
