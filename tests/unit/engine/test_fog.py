@@ -105,6 +105,7 @@ def test_light_of_a_near_lamp_is_the_integral():
     assert found == pytest.approx([np.trapezoid(light, z) * scattering * 0.25 / np.pi] * 3, rel=0.04)
 
 
+@pytest.mark.slow
 def test_white_fog_is_not_seen_in_a_white_world():
     """Return all light where nothing is absorbed, from the first frame on, also where it is scattered ten times."""
     assert seen(fog_box(cloud(1.0), background=1.0), 2) == pytest.approx([1.0] * 3, rel=0.01)

@@ -246,6 +246,7 @@ def test_cancelled_step_keeps_a_valid_picture():
     assert (session.read() == scenes.render(room(0.5), camera, (256, 128), 4)).all()
 
 
+@pytest.mark.slow
 def test_noise_falls_with_samples():
     """Halve the error with four times the samples (better for a low-discrepancy sequence, never worse)."""
     lamp = scenes.lamp("AREA", 30.0, scenes.place(z=2.0, x=1.0), shape="SQUARE", size_x=1.0)

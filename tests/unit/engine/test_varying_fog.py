@@ -66,6 +66,7 @@ def test_what_shines_is_that_of_the_integral():
     assert seen(fog_box(medium), 8) == pytest.approx([0.5 * share, 0.25 * share, 0.0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_surfaces_are_lit_through_it():
     """Light a floor by a sun through a box that gets denser, and see it through that."""
     expected = seen(fog_box(MediumData(), lights=[SUN], **FLOOR), 4) * np.exp([-0.4, -2.0, -4.0])
