@@ -8,10 +8,11 @@ import warp as wp
 from .camera_motion import only_camera_moves
 from .gbuffer import GBuffer, SurfaceMaterial, load_surface
 from .geometry_math import max_component
-from .long_mean import unpack_mean
+from .long_mean import pixel_before, unpack_mean
 from .packed_halves import unpack_halves
 from .reflection_blocks import ReflectionHistory, filter_roughness, light_strength
 from .reflection_types import LOBE_TRANSMISSION, ReflectionOptions, through_albedo
+from .reprojection import Reprojection
 from .view import View, pixel_of, project
 from .wide_loads import load_previous_view
 
@@ -71,3 +72,14 @@ def leaves_turn_out(
     shown = max_component(m.diffuse) * light_strength(unpack_mean(matte[before])) + albedo * state[1]
     error = albedo * state[2]
     return error * error <= EVEN * EVEN * shown * shown * state[0]
+
+
+@wp.func
+def is_known(
+    options: ReflectionOptions, history: ReflectionHistory, reprojection: Reprojection, pixel: int,
+) -> bool:
+    """Return whether a pixel has a mean that does for it while its block waits."""
+    before = pixel_before(reprojection, pixel, options.width)
+    if before < 0:
+        return False
+    return unpack_halves(history.state[before])[0] >= WAITING_FRAMES

@@ -12,8 +12,7 @@ import warp as wp
 
 from .gbuffer import GBuffer, load_material
 from .geometry_math import sqr
-from .long_mean import pixel_before
-from .packed_halves import pack_halves, unpack_halves
+from .packed_halves import pack_halves
 from .packing import rgb, rgba
 from .reflection_atrous import EXPONENT_MAX, WEIGHT_NONE, gaussian, load_reflection, load_root, tap_weight
 from .reflection_blocks import (
@@ -31,7 +30,7 @@ from .reflection_blocks import (
     light_strength,
 )
 from .reflection_lobe import FilterLobe, FilterPass, angle_of_pixel, filter_lobe, known_pass, pass_sigma
-from .reflection_turns import WAITING_FRAMES
+from .reflection_turns import is_known
 from .reflection_types import NO_SAMPLE, WAITS, ReflectionOptions, ReflectionSamples, block_of, is_sampled
 from .reprojection import Reprojection
 from .sampling import hash32, hash_combine, to_unit
@@ -156,17 +155,6 @@ def around(part: FilterPass, moments: wp.vec3, light: wp.vec4) -> wp.vec2:
         return wp.vec2(deviation, mean)
     rest = wp.max(1.0 - mean, COMPRESSED_MINIMUM)
     return wp.vec2(deviation / sqr(rest), mean / rest)
-
-
-@wp.func
-def is_known(
-    options: ReflectionOptions, history: ReflectionHistory, reprojection: Reprojection, pixel: int,
-) -> bool:
-    """Return whether a pixel has a mean that does for it while its block waits."""
-    before = pixel_before(reprojection, pixel, options.width)
-    if before < 0:
-        return False
-    return unpack_halves(history.state[before])[0] >= WAITING_FRAMES
 
 
 @wp.func

@@ -159,13 +159,14 @@ class GBufferPass:
                 graph.launch(trace, in_blocks, [views, scene, width, height], [hits])
             else:
                 graph.launch(gbuffer_rays.trace_primary, count, [views, scene, width], [hits])
-            later = filtered and lean_layers and self.raster is not None and notes_all_veils(scene)
+            noted = self.raster is not None and notes_all_veils(scene)
+            later = filtered and lean_layers and noted
             if filtered:
                 if not later:
                     graph.join(OTHER_PIXELS)
                 with graph.branch(OTHER_PIXELS) if later else nullcontext():
                     self._record_layers(
-                        graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT))
+                        graph, scene, views, in_blocks, lean_layers, layers == int(gbuffer_rays.LAYERS_LIT), noted)
         with graph.section("Materials"):
             # What is listed goes first, beside all others.
             with graph.branch(OTHER_PIXELS):
@@ -203,14 +204,17 @@ class GBufferPass:
                 [self.reprojection])
 
     def _record_layers(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool, lit: bool,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, in_blocks: int, lean: bool, lit: bool, listed: bool,
     ) -> None:
-        """Record looking through the layers in front of what pixels show; `lit`: something may shine behind them."""
+        """Record looking through the layers in front of what pixels show.
+
+        `lit`: something may shine behind them; `listed`: pixels that have any are in their list already.
+        """
         width, height, hits = self.width, self.height, self.hits
         if self.raster is None and not is_flat(scene):
             graph.launch(gbuffer_rays.trace_primary_layers, width * height, [views, scene, width], [hits])
         if lean:
-            if self.raster is None or not notes_all_veils(scene):
+            if not listed:
                 graph.fill_list(
                     compaction.append_layered_pixels, in_blocks, [hits.layer, width, height], self.layered)
             if lit:

@@ -37,6 +37,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..device import launch
 from ..frame_graph import FrameGraph
+from ..history import History
 from ..lobe_moments import lobe_moments
 from ..ray_budget import HALF_RATE_PIXELS, SMALL_INTERVAL
 from ..settings import ProbeSettings
@@ -117,8 +118,9 @@ class ScreenProbePass:
         self.guests = 0
         """Slots for rays of others, after the probes' own: the radiance cache answers all at once"""
         self.irradiance = wp.zeros(width * height, dtype=wp.vec4h, device=self.device)
-        self._ratios = [wp.zeros(width * height, dtype=wp.float16, device=self.device) for _ in range(2)]
-        self.specular_ratio = self._ratios[0]
+        self._ratios: History[wp.array] = History(
+            "specular ratio", lambda: wp.zeros(width * height, dtype=wp.float16, device=self.device))
+        self.specular_ratio = self._ratios.current(0)
         """Luminance of the light of each pixel's reflection lobe by that of its irradiance / pi (float16 [h * w]), of
         the frame recorded last"""
         self.unfilled = make_work_list(width * height, self.device)
@@ -207,7 +209,7 @@ class ScreenProbePass:
         with graph.section("Probe interpolation"):
             before = InterpolatedBefore()
             before.reprojection, before.mean = reprojection, known or DiffuseHistory()
-            before.ratio, self.specular_ratio = self._ratios[1 - parity], self._ratios[parity]
+            before.ratio, self.specular_ratio = self._ratios.previous(parity), self._ratios.current(parity)
             images = [self.irradiance, self.specular_ratio]
             graph.launch(probe_records.record_probes, 2 * self.tile_count, [grid, views, tiles, pool], [self.records])
             graph.empty_list(self.unfilled)

@@ -6,13 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from burnish.engine.passes import screen_probes
-from burnish.engine.scene import SceneDelta
 from burnish.kernels.interpolation_turns import KEPT
 from burnish.kernels.probe_types import TILE
 
-from tests import scenes
 from tests.glossy_scenes import glossy
-from tests.panning import SIZE, WARM_UP, Pan, floor, objects
+from tests.panning import SIZE, WARM_UP, Pan, change_of, floor, with_and_without
 
 TILES = (SIZE[1] // int(TILE), SIZE[0] // int(TILE))
 FLOOR = glossy(color=0.5, roughness=0.8)
@@ -32,17 +30,9 @@ def large(monkeypatch):
     monkeypatch.setattr(screen_probes, "HALF_RATE_PIXELS", 0)
 
 
-def warm(delta, **denoiser):
-    """Return a camera that has been moving for a while."""
-    pan = Pan(delta, **denoiser)
-    for _ in range(WARM_UP):
-        pan.frame()
-    return pan
-
-
 def test_known_tiles_take_turns(large):
     """Leave every other tile out, as on a chessboard, and each in every other frame."""
-    pan = warm(floor(FLOOR))
+    pan = Pan(floor(FLOOR)).frames()
     first, second = step(pan), step(pan)
     # At the picture's edges pixels come into view.
     inner = (slice(0, -1), slice(1, -1))
@@ -59,27 +49,15 @@ def test_all_tiles_have_light_otherwise(kind, monkeypatch):
     pan = Pan(floor(FLOOR))
     if kind == "switched off":
         pan.switch("probes", half_rate=False)
-    for _ in range(3 if kind == "new" else WARM_UP):
-        pan.frame()
+    pan.frames(3 if kind == "new" else WARM_UP)
     for index in range(2):
-        change = None
-        if kind == "moving object":
-            change = SceneDelta(instances=scenes.instances(objects(30.0 - index)))
-        elif kind == "edited light" and index == 0:
-            change = SceneDelta(world=scenes.world(2.0))
-        elif kind == "at rest":
+        if kind == "at rest":
             pan.x -= 0.002
-        assert (step(pan, change) == 0.0).all(), index
+        assert (step(pan, change_of(kind, index)) == 0.0).all(), index
 
 
 def test_light_stays(large):
     """Have the same picture as with light from the probes in each frame, rough reflections too."""
-    pictures = []
-    for wait in (True, False):
-        pan = Pan(floor(FLOOR, background=0.8))
-        pan.switch("probes", half_rate=wait)
-        for _ in range(WARM_UP + 16):
-            pan.frame()
-        pictures.append(pan.picture())
+    pictures = with_and_without(floor(FLOOR, background=0.8), "probes")
     np.testing.assert_allclose(pictures[0].mean(), pictures[1].mean(), rtol=0.002)
     assert np.abs(pictures[0] - pictures[1]).max() < 0.02 * pictures[1].mean()

@@ -6,12 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from burnish.engine.passes import reflections
-from burnish.engine.scene import SceneDelta
 from burnish.kernels.reflection_types import WAITS
 
-from tests import scenes
 from tests.glossy_scenes import glossy, metal
-from tests.panning import SIZE, WARM_UP, Pan, floor, objects
+from tests.panning import SIZE, WARM_UP, Pan, change_of, floor, with_and_without
 
 
 def step(pan, delta=None):
@@ -30,9 +28,7 @@ def large(monkeypatch):
 @pytest.mark.parametrize("material", [metal(0.3), glossy(color=0.3, roughness=0.4)])
 def test_known_blocks_take_turns(large, material):
     """Sample half of the blocks in a frame, all of them as often, row by row."""
-    pan = Pan(floor(material))
-    for _ in range(WARM_UP):
-        pan.frame()
+    pan = Pan(floor(material)).frames()
     sampled = np.stack([step(pan) for _ in range(8)])
     inner = sampled[:, 2:-2, 2:-2]
     assert (inner.sum(0) == 4).mean() > 0.98
@@ -48,25 +44,16 @@ def test_other_blocks_do_not_wait(kind, monkeypatch):
         monkeypatch.setattr(reflections, "HALF_RATE_PIXELS", 0)
     delta = floor(metal(0.0 if kind == "mirror" else 0.3))
     pan = Pan(delta, reflection_temporal=kind != "no history")
-    for _ in range(4 if kind == "new" else WARM_UP):
-        pan.frame()
+    pan.frames(4 if kind == "new" else WARM_UP)
     for index in range(4):
-        change = None
-        if kind == "moving object":
-            change = SceneDelta(instances=scenes.instances(objects(30.0 - index)))
-        elif kind == "edited light" and index == 0:
-            change = SceneDelta(world=scenes.world(2.0))
-        sampled = step(pan, change)
-        assert sampled.all(), index
+        assert step(pan, change_of(kind, index)).all(), index
 
 
 @pytest.mark.parametrize(("frames", "error", "waits"), [
     (16.0, 0.05, True), (16.0, 0.2, False), (5.0, 0.05, True), (3.0, 0.05, False), (-16.0, 0.05, False)])
 def test_noisy_blocks_do_not_wait(large, frames, error, waits):
     """Let a block wait if its mean is of four samples at least, unchanged, and surer than a tenth of what is shown."""
-    pan = Pan(floor(metal(0.3)))
-    for _ in range(WARM_UP):
-        pan.frame()
+    pan = Pan(floor(metal(0.3))).frames()
     frame = pan.realtime
     state = frame.pipeline.reflection_denoise.history.current(frame.views.parity).state
     words = np.tile(np.array([frames, 1.0, error * abs(frames)**0.5, 0.5], np.float16), (len(state), 1))
@@ -76,21 +63,13 @@ def test_noisy_blocks_do_not_wait(large, frames, error, waits):
 
 def test_light_stays(large):
     """Have the same light on average as with all samples."""
-    pictures = []
-    for wait in (True, False):
-        pan = Pan(floor(metal(0.3), background=0.8))
-        pan.switch("reflections", half_rate=wait)
-        for _ in range(WARM_UP + 16):
-            pan.frame()
-        pictures.append(pan.picture())
+    pictures = with_and_without(floor(metal(0.3), background=0.8), "reflections")
     np.testing.assert_allclose(pictures[0].mean(), pictures[1].mean(), rtol=0.002)
 
 
 def test_pixels_that_wait_keep_their_means(large):
     """Leave the means of a block that waits as they are, but filter a pixel whose own mean is too short for that."""
-    pan = Pan(floor(metal(0.3)))
-    for _ in range(WARM_UP):
-        pan.frame()
+    pan = Pan(floor(metal(0.3))).frames()
     realtime = pan.realtime
     denoise = realtime.pipeline.reflection_denoise
     before = denoise.history.current(realtime.views.parity)
