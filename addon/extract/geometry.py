@@ -11,8 +11,9 @@ import bpy
 import numpy as np
 
 from ...engine.report import Report
-from ...engine.sanitize import report_counts, sanitize_mesh
+from ...engine.sanitize import SanitizeCounts, report_counts, sanitize_mesh
 from ...engine.scene import MeshData
+from ...engine.stored_mesh import StoredMesh
 from .hair import extract_curves
 from .instances import Gathered, Source
 from .mesh import extract_mesh
@@ -22,17 +23,11 @@ from .volume_object import extract_volume
 __all__ = ["materials_of_hair", "read_clean", "read_geometry", "read_positions"]
 
 THREADS_MAX = 8
-"""Meshes cleaned at the same time at most"""
+"""Meshes made ready at the same time at most"""
 
 
-def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
-    """Return the mesh, the tubes of hair or the box of a volume, as they are (engine/sanitize.py).
-
-    Args:
-        source: Not a lamp.
-        report: Takes what was left out.
-        derived: Attributes to work out (engine/mesh_features.py).
-    """
+def _copy_geometry(source: Source, report: Report, derived: frozenset[str]) -> MeshData | StoredMesh:
+    """Return copies of all that Blender knows of a source; arguments as of `read_geometry`."""
     owner, slot_count = f"object '{source.name}'", len(source.material_set)
     if source.hair:
         return extract_particle_hair(source.owner, source.data, source.hair, owner, slot_count, report, derived)
@@ -49,9 +44,28 @@ def read_geometry(source: Source, report: Report, derived: frozenset[str] = froz
         source.owner.to_mesh_clear()
 
 
+def _by_triangles(geometry: MeshData | StoredMesh) -> MeshData:
+    return geometry.by_triangles() if isinstance(geometry, StoredMesh) else geometry
+
+
+def _clean(geometry: MeshData | StoredMesh) -> tuple[MeshData, SanitizeCounts]:
+    return sanitize_mesh(_by_triangles(geometry))
+
+
+def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
+    """Return the mesh, the tubes of hair or the box of a volume, as they are (engine/sanitize.py).
+
+    Args:
+        source: Not a lamp.
+        report: Takes what was left out.
+        derived: Attributes to work out (engine/mesh_features.py).
+    """
+    return _by_triangles(_copy_geometry(source, report, derived))
+
+
 def read_clean(sources: dict[int, Source], reports: dict[int, Report], derived: dict[int, frozenset[str]],
                step: Callable[[str, float], None]) -> dict[int, MeshData]:
-    """Return what sources look like, by key, fit to be drawn: read here and cleaned in threads meanwhile.
+    """Return what sources look like, by key, fit to be drawn: copied here, made ready in threads meanwhile.
 
     Args:
         sources: By key.
@@ -63,7 +77,7 @@ def read_clean(sources: dict[int, Source], reports: dict[int, Report], derived: 
         cleaning = {}
         for number, (key, source) in enumerate(sources.items()):
             step(f"Reading mesh '{source.name}'", number / len(sources))
-            cleaning[key] = pool.submit(sanitize_mesh, read_geometry(source, reports[key], derived[key]))
+            cleaning[key] = pool.submit(_clean, _copy_geometry(source, reports[key], derived[key]))
         cleaned = {key: job.result() for key, job in cleaning.items()}
     for key, (_, found) in cleaned.items():
         report_counts(reports[key], f"object '{sources[key].name}'", found)

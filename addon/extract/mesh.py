@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluated Blender mesh to MeshData: copies of positions, triangles, normals, UV maps and attributes.
+"""Evaluated Blender mesh to StoredMesh: copies of positions, triangles, normals, UV maps and attributes.
 
 Reads attributes instead of RNA properties wherever there is one: `attributes['position']` takes 0.9 ms where
 `vertices.foreach_get('co')` takes 16.7 ms for 980,000 triangles. Main thread only; keeps nothing of bpy.
@@ -10,9 +10,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...engine.mesh_features import ISLAND, POINTINESS, pointiness, random_per_island
+from ...engine.mesh_features import ISLAND, POINTINESS
 from ...engine.report import Report, ReportKind
-from ...engine.scene import MeshData
+from ...engine.stored_mesh import CORNER, FACE, POINT, StoredMesh
 
 __all__ = ["ATTRIBUTE_LIMIT", "ATTRIBUTE_TYPES", "extract_mesh", "read_vec4"]
 
@@ -40,8 +40,8 @@ _GEOMETRY_NAMES = {'position', 'material_index', 'sharp_face', 'custom_normal'}
 
 
 def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Report,
-                 derived: frozenset[str] = frozenset()) -> MeshData:
-    """Copy an evaluated mesh as it is: it may not be fit to be drawn before `sanitize_mesh`.
+                 derived: frozenset[str] = frozenset()) -> StoredMesh:
+    """Copy an evaluated mesh as it is.
 
     Args:
         mesh: Evaluated mesh, not in edit mode.
@@ -51,7 +51,7 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
         derived: Attributes of engine/mesh_features.py that it shall have.
 
     Returns:
-        A MeshData that may have no triangles at all.
+        A mesh that may have no triangles at all.
     """
     if not len(mesh.loops) or not len(mesh.vertices):
         return _empty_mesh(mesh.name)  # which may lack even the attributes read below
@@ -62,46 +62,19 @@ def extract_mesh(mesh: bpy.types.Mesh, owner: str, slot_count: int, report: Repo
         report.add(ReportKind.SKIPPED, owner, "names vertices that don't exist and was left out; run Mesh > Clean Up")
         return _empty_mesh(mesh.name)
     corners, faces = _read_triangles(mesh)
-    gather = _Gather(mesh, corner_vertices, corners, faces)
-    data = MeshData(
+    stored = StoredMesh(
         name=mesh.name,
         positions=_read(mesh.attributes['position'].data, 'vector', np.float32, len(mesh.vertices), 3),
-        triangles=gather.vertices,
-        material_slots=_read_material_slots(mesh, faces, slot_count),
-        corner_normals=_read_corner_normals(mesh, gather, intact),
-        uv_maps=_read_uv_maps(mesh, gather),
-        attributes=_read_attributes(mesh, gather, owner, report),
+        corner_vertices=corner_vertices, corners=corners, faces=faces,
+        slots=_read_material_slots(mesh, slot_count),
+        normals=_read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3) if intact else None,
+        uv_maps=_read_uv_maps(mesh),
+        attributes=_read_attributes(mesh, owner, report),
         generated=_read_texture_space(mesh),
     )
-    if derived & {ISLAND, POINTINESS} and intact:
-        data.attributes |= _derive(mesh, gather, data.positions, derived)
-    return data
-
-
-class _Gather:
-    """Expands values of a domain to the corners of the triangles."""
-
-    def __init__(self, mesh: bpy.types.Mesh, corner_vertices: np.ndarray, corners: np.ndarray | None,
-                 faces: np.ndarray | None) -> None:
-        self.corners = corners
-        self.faces = faces
-        self.sizes = {'POINT': len(mesh.vertices), 'CORNER': len(mesh.loops), 'FACE': len(mesh.polygons)}
-        self.vertices = self._at_corners(corner_vertices).reshape(-1, 3)
-
-    def expand(self, values: np.ndarray, domain: str) -> np.ndarray:
-        """Return [T, 3, C] of the [N, C] `values` on `domain` ('POINT', 'CORNER' or 'FACE')."""
-        if domain == 'POINT':
-            # The mesh may name vertices that don't exist; sanitize_mesh drops those triangles afterwards.
-            result = values.take(self.vertices, axis=0, mode='clip')
-        elif domain == 'CORNER':
-            result = self._at_corners(values).reshape(-1, 3, values.shape[-1])
-        else:
-            per_face = values if self.faces is None else values.take(self.faces, axis=0)
-            result = np.repeat(per_face[:, None], 3, axis=1)
-        return np.ascontiguousarray(result)
-
-    def _at_corners(self, values: np.ndarray) -> np.ndarray:
-        return values if self.corners is None else values.take(self.corners, axis=0)
+    if intact:
+        _read_features(mesh, stored, derived & {ISLAND, POINTINESS})
+    return stored
 
 
 def _read(collection: bpy.types.bpy_prop_collection, name: str, dtype: type, count: int,
@@ -112,9 +85,9 @@ def _read(collection: bpy.types.bpy_prop_collection, name: str, dtype: type, cou
     return values if components == 1 else values.reshape(count, components)
 
 
-def _empty_mesh(name: str) -> MeshData:
-    return MeshData(name=name, positions=np.empty((0, 3), np.float32), triangles=np.empty((0, 3), np.int32),
-                    material_slots=np.empty(0, np.int32), corner_normals=np.empty((0, 3, 3), np.float32))
+def _empty_mesh(name: str) -> StoredMesh:
+    return StoredMesh(name=name, positions=np.empty((0, 3), np.float32), corner_vertices=np.empty(0, np.int32),
+                      corners=None, faces=None)
 
 
 def _read_triangles(mesh: bpy.types.Mesh) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -128,46 +101,37 @@ def _read_triangles(mesh: bpy.types.Mesh) -> tuple[np.ndarray | None, np.ndarray
     return corners, faces
 
 
-def _read_material_slots(mesh: bpy.types.Mesh, faces: np.ndarray | None, slot_count: int) -> np.ndarray:
-    """Return int32 [T]."""
-    triangle_count = len(mesh.loop_triangles)
+def _read_material_slots(mesh: bpy.types.Mesh, slot_count: int) -> np.ndarray | None:
+    """Return int32 [F], None where all faces have the first slot."""
     attribute = mesh.attributes.get('material_index')
-    if attribute is None or attribute.domain != 'FACE' or attribute.data_type != 'INT' or slot_count < 2:
-        return np.zeros(triangle_count, np.int32)
+    if attribute is None or attribute.domain != FACE or attribute.data_type != 'INT' or slot_count < 2:
+        return None
     slots = _read(attribute.data, 'value', np.int32, len(mesh.polygons))
-    np.clip(slots, 0, slot_count - 1, out=slots)
-    return slots if faces is None else slots.take(faces)
+    return np.clip(slots, 0, slot_count - 1, out=slots)
 
 
-def _read_corner_normals(mesh: bpy.types.Mesh, gather: _Gather, intact: bool) -> np.ndarray:
-    """Return float32 [T, 3, 3]; flat faces, sharp edges and custom normals are already in Blender's own."""
-    if not intact:
-        return np.zeros((len(gather.vertices), 3, 3), np.float32)  # sanitize_mesh puts in face normals
-    normals = _read(mesh.corner_normals, 'vector', np.float32, len(mesh.loops), 3)
-    # Of corners between faces without area; Cycles packs normals as points of an octahedron, which has no zero.
-    normals[(normals[:, 0] == 0.0) & (normals[:, 1] == 0.0) & (normals[:, 2] == 0.0)] = (0.0, 0.0, 1.0)
-    return gather.expand(normals, 'CORNER')
-
-
-def _read_uv_maps(mesh: bpy.types.Mesh, gather: _Gather) -> dict[str, np.ndarray]:
-    """Return all UV maps, the one active for rendering first."""
+def _read_uv_maps(mesh: bpy.types.Mesh) -> dict[str, np.ndarray]:
+    """Return float32 [L, 2] of all UV maps, the one active for rendering first."""
     # Sorting is stable: the others keep Blender's order.
     layers = sorted(mesh.uv_layers, key=lambda layer: not layer.active_render)
-    maps = {}
+    maps, count = {}, len(mesh.loops)
     for layer in layers:
         attribute = mesh.attributes.get(layer.name)
-        if attribute is not None and len(attribute.data) == gather.sizes['CORNER']:
-            values = _read(attribute.data, 'vector', np.float32, gather.sizes['CORNER'], 2)
-            maps[layer.name] = gather.expand(values, 'CORNER')
+        if attribute is not None and len(attribute.data) == count:
+            maps[layer.name] = _read(attribute.data, 'vector', np.float32, count, 2)
     return maps
 
 
-def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: Report) -> dict[str, np.ndarray]:
-    """Return colour attributes (the one active for rendering first), then up to ATTRIBUTE_LIMIT others."""
+def _read_attributes(mesh: bpy.types.Mesh, owner: str, report: Report) -> dict[str, tuple[str, np.ndarray]]:
+    """Return domain and values of colour attributes (the one active for rendering first), then of others.
+
+    Of those up to ATTRIBUTE_LIMIT.
+    """
+    sizes = {POINT: len(mesh.vertices), CORNER: len(mesh.loops), FACE: len(mesh.polygons)}
     uv_names = {layer.name for layer in mesh.uv_layers}
     chosen = [attribute for attribute in mesh.attributes
               if attribute.name not in _GEOMETRY_NAMES and attribute.name not in uv_names
-              and not attribute.name.startswith('.') and attribute.domain in gather.sizes
+              and not attribute.name.startswith('.') and attribute.domain in sizes
               and attribute.data_type in ATTRIBUTE_TYPES]
     colors = [attribute for attribute in chosen if attribute.data_type in _COLOR_TYPES]
     active = mesh.color_attributes.render_color_index if colors else -1
@@ -179,22 +143,18 @@ def _read_attributes(mesh: bpy.types.Mesh, gather: _Gather, owner: str, report: 
         report.add(ReportKind.SKIPPED, owner, f"attributes beyond the first {ATTRIBUTE_LIMIT} were left out: {names}")
     values = {}
     for attribute in colors + others[:ATTRIBUTE_LIMIT]:
-        if len(attribute.data) == gather.sizes[attribute.domain]:
-            values[attribute.name] = gather.expand(read_vec4(attribute), attribute.domain)
+        if len(attribute.data) == sizes[attribute.domain]:
+            values[attribute.name] = attribute.domain, read_vec4(attribute)
     return values
 
 
-def _derive(mesh: bpy.types.Mesh, gather: _Gather, positions: np.ndarray, names: frozenset[str],
-            ) -> dict[str, np.ndarray]:
-    """Return attributes that are worked out from the mesh's edges."""
-    edges = _read(mesh.attributes['.edge_verts'].data, 'value', np.int32, len(mesh.edges), 2)
-    found = {}
-    if ISLAND in names:
-        found[ISLAND] = random_per_island(len(positions), edges)
+def _read_features(mesh: bpy.types.Mesh, stored: StoredMesh, names: frozenset[str]) -> None:
+    """Read what attributes are worked out from."""
+    if names:
+        stored.derived = names
+        stored.edges = _read(mesh.attributes['.edge_verts'].data, 'value', np.int32, len(mesh.edges), 2)
     if POINTINESS in names:
-        normals = _read(mesh.vertex_normals, 'vector', np.float32, len(positions), 3)
-        found[POINTINESS] = pointiness(positions, normals, edges)
-    return {name: gather.expand(np.repeat(values[:, None], 4, axis=1), 'POINT') for name, values in found.items()}
+        stored.vertex_normals = _read(mesh.vertex_normals, 'vector', np.float32, len(mesh.vertices), 3)
 
 
 def read_vec4(attribute: bpy.types.Attribute) -> np.ndarray:
