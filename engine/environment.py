@@ -14,7 +14,7 @@ from .device import launch, load_module, run_bands
 from .program import Program
 from .scene import Visibility, WorldData
 
-__all__ = ["build_environment", "no_environment"]
+__all__ = ["build_environment", "no_environment", "texel_chances"]
 
 # Share of directions drawn uniformly: texels that the table thinks black may not be quite.
 UNIFORM_SHARE = 0.05
@@ -38,23 +38,27 @@ def no_environment(device: str, world: WorldData | None = None) -> types.Environ
     return environment
 
 
-def running_sums(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the running sums by which texels are drawn, and the probabilities that they then have.
+def running_sums(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the running sums by which texels are drawn.
 
     Args:
         weights: float64 [h, w], not negative, not all zero.
 
     Returns:
-        float32 [h]: of the rows; float32 [h, w]: of each row's texels, ending at 1; float32 [h, w]: probabilities.
+        float32 [h]: of the rows; float32 [h, w]: of each row's texels, ending at 1.
     """
     by_row = weights.sum(1)
     rows = np.cumsum(by_row / by_row.sum()).astype(np.float32)
     columns = np.cumsum(weights / np.maximum(by_row, 1e-300)[:, None], 1).astype(np.float32)
     rows[-1] = columns[:, -1] = 1.0
-    # Of the rounded sums, so that what is drawn is exactly what the pdf says.
-    row_chance = np.diff(rows.astype(np.float64), prepend=0.0)
-    chance = np.diff(columns.astype(np.float64), prepend=0.0, axis=1) * row_chance[:, None]
-    return rows, columns, chance.astype(np.float32)
+    return rows, columns
+
+
+def texel_chances(environment: types.Environment) -> np.ndarray:
+    """Return the probability of each texel of the table: float64 [h, w]. Waits for the device."""
+    columns = environment.columns.numpy().astype(np.float64).reshape(environment.height, environment.width)
+    rows = environment.rows.numpy().astype(np.float64)
+    return np.diff(columns, prepend=0.0, axis=1) * np.diff(rows, prepend=0.0)[:, None]
 
 
 def build_environment(
@@ -100,11 +104,10 @@ def build_environment(
     total = values.sum()
     weights = UNIFORM_SHARE * uniform / uniform.sum()
     weights += (1.0 - UNIFORM_SHARE) * (values / total if total > 0 else uniform / uniform.sum())
-    rows, columns, weights = running_sums(weights.reshape(height, width))
+    rows, columns = running_sums(weights.reshape(height, width))
     environment.width, environment.height = width, height
     environment.rows = wp.array(rows, dtype=float, device=device)
     environment.columns = wp.array(columns.ravel(), dtype=float, device=device)
-    environment.weight = wp.array(weights.ravel(), dtype=float, device=device)
     assemble(environment, float(integral))
     return radiance if _is_same_for_all(world.program) else wp.zeros(1, dtype=wp.vec3, device=device)
 

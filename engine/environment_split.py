@@ -18,7 +18,7 @@ from ..kernels.shadow_lights import shade_lights
 from ..kernels.world_split import aim_at_texels, cut_texels, measure_texels
 from .alias_table import build_alias_table
 from .device import launch, launch_bands, run_bands
-from .environment import UNIFORM_SHARE, no_environment
+from .environment import UNIFORM_SHARE, no_environment, texel_chances
 from .shadow_rays import make_options, make_shadow_rays
 from .work_list import ONCE, make_queue, one_number
 
@@ -123,8 +123,7 @@ def _fill_tables(
 
 def _relative_radiance(environment: types.Environment, solid_angle: np.ndarray) -> np.ndarray:
     """Return each texel's mean radiance (largest channel) over that of the sphere, from the sampling table."""
-    weights = environment.weight.numpy().astype(np.float64).reshape(solid_angle.shape)
-    return np.maximum(weights / solid_angle - UNIFORM_SHARE, 0.0) / (1.0 - UNIFORM_SHARE)
+    return np.maximum(texel_chances(environment) / solid_angle - UNIFORM_SHARE, 0.0) / (1.0 - UNIFORM_SHARE)
 
 
 def _threshold(mean: np.ndarray, solid_angle: np.ndarray) -> float:

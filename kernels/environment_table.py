@@ -24,16 +24,32 @@ def equirect_direction(x: float, y: float) -> wp.vec3:
     return wp.vec3(s * wp.cos(phi), s * wp.sin(phi), wp.cos(theta))
 
 
+@wp.struct
+class DrawnDirection:
+    """A direction drawn from the world's table."""
+
+    direction: wp.vec3
+    pdf: float
+    """[1/sr]"""
+
+
 @wp.func
-def texel_of(environment: Environment, direction: wp.vec3) -> int:
-    """Return the texel of a table that has some in which a direction lies."""
+def row_and_column(environment: Environment, direction: wp.vec3) -> wp.vec2i:
+    """Return row and column of the texel of a table that has some in which a direction lies."""
     x = wp.atan2(direction[1], direction[0]) / TWO_PI
     if x < 0.0:
         x = x + 1.0
     y = wp.acos(wp.clamp(direction[2], -1.0, 1.0)) / PI
     i = wp.clamp(int(x * float(environment.width)), 0, environment.width - 1)
     j = wp.clamp(int(y * float(environment.height)), 0, environment.height - 1)
-    return j * environment.width + i
+    return wp.vec2i(j, i)
+
+
+@wp.func
+def texel_of(environment: Environment, direction: wp.vec3) -> int:
+    """Return the number of that texel."""
+    place = row_and_column(environment, direction)
+    return place[0] * environment.width + place[1]
 
 
 @wp.func
@@ -43,13 +59,33 @@ def has_texels(world: wp.array[wp.vec3]) -> bool:
 
 
 @wp.func
+def step_of(sums: wp.array[float], first: int, place: int) -> float:
+    """Return by how much running sums from `first` on grow at a place."""
+    below = float(0.0)
+    if place > 0:
+        below = sums[first + place - 1]
+    return sums[first + place] - below
+
+
+@wp.func
+def texel_pdf(environment: Environment, row: int, column: int, z: float) -> float:
+    """Return the pdf [1/sr] with which sample_environment draws a direction of a texel, `z` up.
+
+    Of the sums themselves: what is drawn is exactly what the pdf says, and they are at hand where a direction was drawn
+    by them, while a table of probabilities would be one more load to wait for.
+    """
+    chance = step_of(environment.rows, 0, row) * step_of(environment.columns, row * environment.width, column)
+    texels = float(environment.width * environment.height)
+    return chance * texels / (TWO_PI * PI * wp.max(safe_sqrt(1.0 - z * z), 1.0e-6))
+
+
+@wp.func
 def environment_pdf(environment: Environment, direction: wp.vec3) -> float:
     """Return the pdf [1/sr] with which sample_environment draws `direction`."""
     if environment.width == 0:
         return 1.0 / (4.0 * PI)
-    texels = float(environment.width * environment.height)
-    sin_theta = wp.max(safe_sqrt(1.0 - direction[2] * direction[2]), 1.0e-6)
-    return environment.weight[texel_of(environment, direction)] * texels / (TWO_PI * PI * sin_theta)
+    place = row_and_column(environment, direction)
+    return texel_pdf(environment, place[0], place[1], direction[2])
 
 
 @wp.func
@@ -85,19 +121,24 @@ def rest_of(sums: wp.array[float], first: int, place: int, u: float) -> float:
 
 
 @wp.func
-def sample_environment(environment: Environment, u: wp.vec2) -> wp.vec3:
+def sample_environment(environment: Environment, u: wp.vec2) -> DrawnDirection:
     """Draw a direction from the table (uniform over the sphere where there is none).
 
     The sums are inverted, row first, and what is left of the numbers is the place in the texel: the map keeps the
     strata of its numbers, as an alias table would not (Pharr, Jakob and Humphreys 2023, section A.5.6).
     """
+    drawn = DrawnDirection()
     if environment.width == 0:
         z = 1.0 - 2.0 * u[0]
         r = safe_sqrt(1.0 - z * z)
-        return wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
+        drawn.direction = wp.vec3(r * wp.cos(TWO_PI * u[1]), r * wp.sin(TWO_PI * u[1]), z)
+        drawn.pdf = 1.0 / (4.0 * PI)
+        return drawn
     row = first_above(environment.rows, 0, environment.height, u[0])
     first = row * environment.width
     column = first_above(environment.columns, first, environment.width, u[1])
     x = (float(column) + rest_of(environment.columns, first, column, u[1])) / float(environment.width)
     y = (float(row) + rest_of(environment.rows, 0, row, u[0])) / float(environment.height)
-    return equirect_direction(x, y)
+    drawn.direction = equirect_direction(x, y)
+    drawn.pdf = texel_pdf(environment, row, column, drawn.direction[2])
+    return drawn

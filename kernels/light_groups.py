@@ -147,7 +147,7 @@ def light_again(
     left = choice.left
     if chosen == lights.environment_class:
         found.sample.kind = 0
-        found.sample.wi = sample_environment(scene.environment, wp.vec2(left, u[1]))
+        found.sample.wi = sample_environment(scene.environment, wp.vec2(left, u[1])).direction
         found.sample.distance = FAR
         found.group = tables.world
         return found

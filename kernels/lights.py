@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .environment_table import environment_pdf, sample_environment
+from .environment_table import sample_environment
 from .geometry_math import TWO_PI, transform_point
 from .intersect import hit_error, instance_shift
 from .lamp_hit import FAR
@@ -161,6 +161,43 @@ def choose_class(lights: Lights, total: float, normal: wp.vec3, u: float) -> Cla
 
 
 @wp.func
+def no_light() -> LightSample:
+    """Return the sample of no light."""
+    s = LightSample()
+    s.kind = -1
+    return s
+
+
+@wp.func
+def sample_world(scene: Scene, chance: float, u: wp.vec2) -> LightSample:
+    """Draw a direction to the world, which is chosen with such a probability."""
+    drawn = sample_environment(scene.environment, u)
+    if not (drawn.pdf * chance > 0.0):
+        return no_light()
+    s = LightSample()
+    s.kind = LIGHT_ENVIRONMENT
+    s.wi = drawn.direction
+    s.pdf = drawn.pdf * chance
+    s.brightness = drawn.pdf * scene.lights.environment_power
+    s.distance = FAR
+    s.radiance = wp.vec3(1.0, 1.0, 1.0)
+    s.shadow = 1
+    s.visibility = scene.environment.visibility
+    s.normal = -drawn.direction
+    return s
+
+
+@wp.func
+def chosen_with(sample: LightSample, chance: float) -> LightSample:
+    """Return the sample of a light that is chosen with such a probability."""
+    s = sample
+    s.pdf = sample.pdf * chance
+    if not (s.pdf > 0.0):
+        s.kind = -1
+    return s
+
+
+@wp.func
 def sample_light(scene: Scene, position: wp.vec3, normal: wp.vec3, u: wp.vec2, refill: float) -> LightSample:
     """Choose one light and draw a direction to it, see sample_light_of."""
     return sample_light_of(scene, class_total(scene.lights, normal), position, normal, u, refill)
@@ -184,41 +221,26 @@ def sample_light_of(
         refill: Another number, since a deep tree uses up a float's bits.
     """
     lights = scene.lights
-    s = LightSample()
-    s.kind = -1
     if total <= 0.0:
-        return s
+        return no_light()
     choice = choose_class(lights, total, normal, u[0])
-    chosen = choice.index
     left = choice.left
     chance = choice.weight / total
-    if chosen == lights.environment_class:
-        s.kind = LIGHT_ENVIRONMENT
-        s.wi = sample_environment(scene.environment, wp.vec2(left, u[1]))
-        s.pdf = environment_pdf(scene.environment, s.wi)
-        s.brightness = s.pdf * lights.environment_power
-        s.distance = FAR
-        s.radiance = wp.vec3(1.0, 1.0, 1.0)
-        s.shadow = 1
-        s.visibility = scene.environment.visibility
-        s.normal = -s.wi
-    else:
-        lamp = lights.local_lamp_count + chosen - 1
-        if chosen == 0:
-            local = choose_by_tree(lights.tree, position, normal, wp.vec2(left, refill))
-            lamp = local.entry
-            left = local.left
-            chance = chance * local.chance
-        if lamp < 0:
-            return s
-        if lamp < lights.lamp_count and (chosen > 0 or lamp < lights.local_lamp_count):
-            s = draw_lamp(lights, lamp, position, wp.vec2(left, u[1]))
-        else:
-            s = sample_emitter(scene, lamp - lights.local_lamp_count, position, wp.vec2(left, u[1]))
-    s.pdf = s.pdf * chance
-    if not (s.pdf > 0.0):
-        s.kind = -1
-    return s
+    # Each kind returns its own: a sample is large, and where branches meet all of it is copied.
+    if choice.index == lights.environment_class:
+        return sample_world(scene, chance, wp.vec2(left, u[1]))
+    lamp = lights.local_lamp_count + choice.index - 1
+    if choice.index == 0:
+        local = choose_by_tree(lights.tree, position, normal, wp.vec2(left, refill))
+        lamp = local.entry
+        left = local.left
+        chance = chance * local.chance
+    if lamp < 0:
+        return no_light()
+    if lamp < lights.lamp_count and (choice.index > 0 or lamp < lights.local_lamp_count):
+        return chosen_with(draw_lamp(lights, lamp, position, wp.vec2(left, u[1])), chance)
+    emitter = lamp - lights.local_lamp_count
+    return chosen_with(sample_emitter(scene, emitter, position, wp.vec2(left, u[1])), chance)
 
 
 @wp.func

@@ -290,7 +290,7 @@ class Environment:
     """Alias method (Vose 1991), where strata don't matter: for the part of the world that is sampled as a light"""
     alias: wp.array[int]
     weight: wp.array[float]
-    """Probability of each texel, sums to 1"""
+    """The same part's probability of each texel, sums to 1"""
     constant: int
     """1: the same radiance everywhere (`radiance`), no program"""
     radiance: wp.vec3

@@ -5,7 +5,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from burnish.engine.environment import running_sums
+import warp as wp
+from burnish.engine.environment import no_environment, running_sums, texel_chances
 from burnish.engine.passes import reference
 from burnish.engine.scene import SceneDelta, Visibility
 from burnish.engine.session import Session
@@ -376,7 +377,12 @@ def sunset(power):
 def test_running_sums_are_the_probabilities():
     """Draw a world's texels by rounded sums exactly as often as the table says."""
     weights = np.random.default_rng(3).exponential(size=(16, 32)) ** 4
-    rows, columns, chance = running_sums(weights)
+    rows, columns = running_sums(weights)
     assert rows[-1] == 1.0 and (columns[:, -1] == 1.0).all()
-    np.testing.assert_allclose(chance.sum(dtype=np.float64), 1.0, rtol=1e-6)
+    environment = no_environment("cpu")
+    environment.width, environment.height = 32, 16
+    environment.rows = wp.array(rows, dtype=float, device="cpu")
+    environment.columns = wp.array(columns.ravel(), dtype=float, device="cpu")
+    chance = texel_chances(environment)
+    np.testing.assert_allclose(chance.sum(), 1.0, rtol=1e-12)
     np.testing.assert_allclose(chance, weights / weights.sum(), atol=2e-7)
