@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import warp as wp
 
-from .lamp_sample import LightSample
+from .geometry_math import is_finite3
 
 
 @wp.struct
 class LightChoice:
-    """One of several light samples, drawn by what they would add."""
+    """One of several light samples, drawn by what they would add.
 
-    kept: LightSample
-    """`kind` below 0: none yet"""
+    The caller keeps the sample itself: it is large, and here all of it would be copied for each one that is considered.
+    """
+
+    keeps_last: int
+    """1: the sample considered last is the one to keep, instead of any before"""
     light: wp.vec3
-    """What it would add"""
+    """What the kept one would add"""
     target: float
     """The same as the number that draws"""
     total: float
@@ -31,7 +34,7 @@ class LightChoice:
 def choice_of_none(u: float) -> LightChoice:
     """Return a choice before the first sample; `u`: a random number in [0, 1)."""
     choice = LightChoice()
-    choice.kept.kind = -1
+    choice.keeps_last = 0
     choice.light = wp.vec3(0.0, 0.0, 0.0)
     choice.target = 1.0
     choice.total = 0.0
@@ -40,19 +43,21 @@ def choice_of_none(u: float) -> LightChoice:
 
 
 @wp.func
-def consider(choice: LightChoice, s: LightSample, light: wp.vec3, target: float) -> LightChoice:
-    """Take a light sample that would add something into a choice."""
+def consider(choice: LightChoice, light: wp.vec3, target: float) -> LightChoice:
+    """Take what a light sample would add into a choice; nothing where the target is not above 0."""
     out = choice
-    out.total = choice.total + target
-    share = target / out.total
-    # What is left of a number after each decision is uniform again.
-    if choice.left < share:
-        out.left = choice.left / share
-        out.kept = s
-        out.light = light
-        out.target = target
-    else:
-        out.left = (choice.left - share) / (1.0 - share)
+    out.keeps_last = 0
+    if target > 0.0 and is_finite3(light):
+        out.total = choice.total + target
+        share = target / out.total
+        # What is left of a number after each decision is uniform again.
+        if choice.left < share:
+            out.left = choice.left / share
+            out.keeps_last = 1
+            out.light = light
+            out.target = target
+        else:
+            out.left = (choice.left - share) / (1.0 - share)
     return out
 
 

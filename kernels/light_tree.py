@@ -41,13 +41,13 @@ def facing(low: wp.vec4, high: wp.vec4, position: wp.vec3, normal: wp.vec3) -> f
     r2 = wp.dot(half, half)
     if d2 <= r2:
         return 1.0
-    cosine = wp.dot(to_center, normal) / wp.sqrt(d2)
-    sin2 = r2 / d2
-    cos_ball = wp.sqrt(1.0 - sin2)
-    if cosine >= cos_ball:
+    # Distances along the normal, and up to where the ball's cone touches it.
+    along = wp.dot(to_center, normal)
+    reach = wp.sqrt(d2 - r2)
+    if along >= reach:
         return 1.0
     # The angle to the centre less the ball's.
-    return wp.max(cosine * cos_ball + safe_sqrt(1.0 - cosine * cosine) * wp.sqrt(sin2), 0.0)
+    return wp.clamp((along * reach + safe_sqrt((d2 - along * along) * r2)) / d2, 0.0, 1.0)
 
 
 @wp.func

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import TWO_PI, is_finite3, mean_component, power_heuristic, safe_sqrt, to_frame
+from .geometry_math import TWO_PI, mean_component, power_heuristic, safe_sqrt, to_frame
 from .intersect import MISS
 from .lamp_hit import FAR
 from .lamp_sample import LightSample
 from .light_choice import LightChoice, chosen_light, consider
 from .light_linking import blockers, kinds_lit, note_receiver
-from .lights import class_total, sample_light_of
+from .lights import class_total, no_light, sample_light_of
 from .media import (
     Inside,
     Media,
@@ -83,27 +83,28 @@ def shade_media_misses(
 
 @wp.func
 def weigh_light(
-    scene: Scene, choice: LightChoice, s: LightSample, instance: int, value: float, paths: Paths, path: int,
+    scene: Scene, choice: LightChoice, s: LightSample, value: float, paths: Paths, path: int,
 ) -> LightChoice:
-    """Return a choice that has considered a light sample for a path, of which `value` is scattered its way."""
-    if instance >= 0:
-        s.visibility = kinds_lit(scene, s.visibility, instance)
+    """Return a choice that has considered a light sample for a path, of which `value` is scattered its way.
+
+    `s.visibility`: as of kinds_lit where a mesh holds the medium.
+    """
     weight = float(1.0)
     if s.delta == 0 and blockers(s.visibility) == 0:
         weight = power_heuristic(s.pdf, value)
     here = wp.cw_mul(paths.throughput[path], s.radiance) * (value * weight / s.pdf)
     worth = wp.dot(here, scene.luminance) * s.brightness
-    if is_finite3(here) and worth > 0.0 and (s.visibility & VISIBLE_VOLUME) != 0:
-        return consider(choice, s, here, worth)
-    return choice
+    return consider(choice, here, wp.where((s.visibility & VISIBLE_VOLUME) != 0, worth, 0.0))
 
 
 @wp.func
-def aim_at_choice(scene: Scene, choice: LightChoice, position: wp.vec3, paths: Paths, path: int):
+def aim_at_choice(
+    scene: Scene, choice: LightChoice, kept: LightSample, position: wp.vec3, paths: Paths, path: int,
+):
     """Store the shadow ray of the light that was chosen for a place in the air, if there is one."""
-    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
+    if kept.kind >= 0 and wp.isfinite(choice.total):
         light = chosen_light(choice, LIGHT_CANDIDATES)
-        aim_shadow_ray(scene, position, position, choice.kept, light, paths, path)
+        aim_shadow_ray(scene, position, position, kept, light, paths, path)
 
 
 @wp.func
@@ -157,16 +158,21 @@ def light_scattered(
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     no_side = wp.vec3(0.0, 0.0, 0.0)
     choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    kept = no_light()
     classes = class_total(scene.lights, no_side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
         s = sample_light_of(
             scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
+            if instance >= 0:
+                s.visibility = kinds_lit(scene, s.visibility, instance)
             value = phase_value(media, inside, wp.dot(paths.direction[path], s.wi))
-            choice = weigh_light(scene, choice, s, instance, value, paths, path)
+            choice = weigh_light(scene, choice, s, value, paths, path)
+            if choice.keeps_last == 1:
+                kept = s
         k = k + 1
-    aim_at_choice(scene, choice, position, paths, path)
+    aim_at_choice(scene, choice, kept, position, paths, path)
 
 
 @wp.kernel

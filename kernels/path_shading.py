@@ -23,7 +23,7 @@ from .light_linking import (
     note_blockers,
     note_receiver,
 )
-from .lights import class_total, emitter_pdf, sample_light_of
+from .lights import class_total, emitter_pdf, no_light, sample_light_of
 from .node_input import deeper
 from .paths import (
     LONG_PATH,
@@ -271,20 +271,22 @@ def sample_direct_light(
     side = front_of(bsdf)
     throughput = paths.throughput[path]
     choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    kept = no_light()
     classes = class_total(scene.lights, side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
         u = candidate_place(place, float(k), LIGHT_CANDIDATES)
         s = sample_light_of(scene, classes, point.position, side, u, refill)
+        here = wp.vec3(0.0, 0.0, 0.0)
         if s.kind >= 0:
             s.visibility = kinds_lit(scene, s.visibility, point.instance)
             here = wp.cw_mul(throughput, arriving(point, bsdf, s))
-            value = wp.dot(here, scene.luminance) * s.brightness
-            if is_finite3(here) and value > 0.0:
-                choice = consider(choice, s, here, value)
+        choice = consider(choice, here, wp.dot(here, scene.luminance) * s.brightness)
+        if choice.keeps_last == 1:
+            kept = s
         k = k + 1
-    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
-        set_shadow_ray(scene, point, choice.kept, chosen_light(choice, LIGHT_CANDIDATES), paths, path)
+    if kept.kind >= 0 and wp.isfinite(choice.total):
+        set_shadow_ray(scene, point, kept, chosen_light(choice, LIGHT_CANDIDATES), paths, path)
 
 
 @wp.func

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3
 from .hair_exit import leaving_point
 from .hair_lobes import HairLobes, evaluate_hair, hair_lobes, sample_hair
 from .lamp_hit import FAR
 from .light_choice import chosen_light, consider
 from .light_linking import kinds_lit, note_receiver
-from .lights import class_total, sample_light_of
+from .lights import class_total, no_light, sample_light_of
 from .path_shading import (
     LIGHT_CANDIDATES,
     aim_shadow_ray,
@@ -67,21 +66,23 @@ def light_hair(scene: Scene, point: ShadingPoint, lobes: HairLobes, paths: Paths
     everywhere = wp.vec3(0.0, 0.0, 0.0)
     throughput = paths.throughput[path]
     choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    kept = no_light()
     classes = class_total(scene.lights, everywhere)
     k = int(0)
     while k < LIGHT_CANDIDATES:
         u = candidate_place(place, float(k), LIGHT_CANDIDATES)
         s = sample_light_of(scene, classes, point.position, everywhere, u, refill)
+        here = wp.vec3(0.0, 0.0, 0.0)
         if s.kind >= 0:
             s.visibility = kinds_lit(scene, s.visibility, point.instance)
             here = wp.cw_mul(throughput, weighed_light(point, evaluate_hair(lobes, s.wi), s))
-            value = wp.dot(here, scene.luminance) * s.brightness
-            if is_finite3(here) and value > 0.0:
-                choice = consider(choice, s, here, value)
+        choice = consider(choice, here, wp.dot(here, scene.luminance) * s.brightness)
+        if choice.keeps_last == 1:
+            kept = s
         k = k + 1
-    if choice.kept.kind >= 0 and wp.isfinite(choice.total):
+    if kept.kind >= 0 and wp.isfinite(choice.total):
         light = chosen_light(choice, LIGHT_CANDIDATES)
-        aim_shadow_ray(scene, point.position, point.position, choice.kept, light, paths, path)
+        aim_shadow_ray(scene, point.position, point.position, kept, light, paths, path)
 
 
 @wp.func

@@ -16,7 +16,7 @@ from .lamp_sample import LightSample
 from .layering import prepare_bsdf
 from .light_choice import choice_of_none, consider
 from .light_linking import kinds_lit
-from .lights import class_total, sample_light_of
+from .lights import class_total, no_light, sample_light_of
 from .path_shading import candidate_place, front_of, set_shadow_ray, visible_part
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import evaluate_bsdf
@@ -62,17 +62,19 @@ def aim_at_lamp(scene: Scene, paths: Paths, path: int) -> float:
     side = front_of(bsdf)
     classes = class_total(scene.lights, side)
     choice = choice_of_none(sample_number(seed, index, DIMENSION_FIRST_BOUNCE + DIMENSION_RESAMPLE))
+    kept = no_light()
     k = int(0)
     while k < CANDIDATES:
         u = candidate_place(place, float(k), CANDIDATES)
         s = sample_light_of(scene, classes, point.position, side, u, refill)
         sent = sent_by(scene, point, bsdf, s)
-        if sent > 0.0:
-            choice = consider(choice, s, wp.vec3(1.0, 1.0, 1.0), sent)
+        choice = consider(choice, wp.vec3(1.0, 1.0, 1.0), sent)
+        if choice.keeps_last == 1:
+            kept = s
         k = k + 1
     total = choice.total / float(CANDIDATES)
-    if choice.kept.kind >= 0:
-        set_shadow_ray(scene, point, choice.kept, wp.vec3(total, total, total), paths, path)
+    if kept.kind >= 0:
+        set_shadow_ray(scene, point, kept, wp.vec3(total, total, total), paths, path)
     return total
 
 

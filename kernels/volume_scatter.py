@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .lights import class_total, sample_light_of
+from .light_linking import kinds_lit
+from .lights import class_total, no_light, sample_light_of
 from .media import Inside, Media, MediaPaths, load_inside
 from .media_scatter import aim_at_choice, go_on_scattered, scattered_direction, weigh_light
 from .path_shading import LIGHT_CANDIDATES, begin_choice, candidate_place
@@ -40,16 +41,21 @@ def light_in_volume(
     refill = sample_number(seed, index, dimension + DIMENSION_LIGHT_CHOICE)
     no_side = wp.vec3(0.0, 0.0, 0.0)
     choice = begin_choice(place, sample_number(seed, index, dimension + DIMENSION_RESAMPLE))
+    kept = no_light()
     classes = class_total(scene.lights, no_side)
     k = int(0)
     while k < LIGHT_CANDIDATES:
         s = sample_light_of(
             scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
+            if instance >= 0:
+                s.visibility = kinds_lit(scene, s.visibility, instance)
             value = phase_value_at(media, volumes, inside, position, wp.dot(paths.direction[path], s.wi))
-            choice = weigh_light(scene, choice, s, instance, value, paths, path)
+            choice = weigh_light(scene, choice, s, value, paths, path)
+            if choice.keeps_last == 1:
+                kept = s
         k = k + 1
-    aim_at_choice(scene, choice, position, paths, path)
+    aim_at_choice(scene, choice, kept, position, paths, path)
 
 
 @wp.kernel
