@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Texture lookup: wrapping, bilinear and trilinear filtering, alpha and colour decoding. Functions only.
+"""Texture lookup: wrapping, bilinear filtering, alpha and colour decoding. Functions only.
 
 Texels lie in flat arrays, one array for each storage format (kernels.types.Textures), rows **top first** as in image
 files; uv (0, 0) is the lower left corner of the picture, so rows are counted from the bottom and flipped on reading.
@@ -219,7 +219,11 @@ def sample_level(
 
 @wp.func
 def sample_filtered(textures: Textures, info: TextureInfo, uv: wp.vec2, width: float, extension: int) -> wp.vec4:
-    """Return the trilinear mix of the two mip levels whose texels are nearest to `width` in size."""
+    """Return the bilinear mix of the four texels around `uv` in the mip level whose texels are nearest to `width`.
+
+    In one level, not in two: texels are far smaller than pixels (tracing.FOOTPRINT_SCALE), so that nobody sees where
+    levels change, and what look-ups wait for is memory.
+    """
     detail = 0.0
     if width > 0.0:
         texels = width * float(wp.max(info.width, info.height))
@@ -227,26 +231,12 @@ def sample_filtered(textures: Textures, info: TextureInfo, uv: wp.vec2, width: f
     offset = int(info.offset)
     level_width = int(info.width)
     level_height = int(info.height)
-    level = int(detail)
+    level = int(detail + 0.5)
     for _i in range(level):
         offset += level_width * level_height
         level_width = wp.max(level_width // 2, 1)
         level_height = wp.max(level_height // 2, 1)
-    blend = detail - float(level)
-    result = wp.vec4()
-    # A loop, so that the code of a level is there once.
-    share = float(1.0 - blend)
-    levels = int(2)
-    if blend <= 0.0:
-        levels = int(1)
-    while levels > 0:
-        result = result + share * sample_level(textures, info, offset, level_width, level_height, uv, extension)
-        offset += level_width * level_height
-        level_width = wp.max(level_width // 2, 1)
-        level_height = wp.max(level_height // 2, 1)
-        share = blend
-        levels = levels - 1
-    return result
+    return sample_level(textures, info, offset, level_width, level_height, uv, extension)
 
 
 @wp.func

@@ -174,13 +174,13 @@ def test_width_chooses_level(device: str, level: int) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_levels_are_blended(device: str) -> None:
-    """Blend two levels by the logarithm of the footprint; read the last one beyond it."""
+def test_nearest_level_is_read(device: str) -> None:
+    """Read the level that is nearest to the footprint by its logarithm; the last one beyond it."""
     image = random_image(height=8, width=8)
     arrays, uv = put(device, image), np.random.default_rng(6).random((60, 2)).astype(np.float32)
     fine, coarse = (bilinear(arrays.level(0, level), uv, EXTENSION_REPEAT) for level in (1, 2))
-    found = sample(device, arrays, uv, width=2.0**1.25 / 8.0)
-    np.testing.assert_allclose(found, 0.75 * fine + 0.25 * coarse, atol=1e-5)
+    np.testing.assert_allclose(sample(device, arrays, uv, width=2.0**1.45 / 8.0), fine, atol=1e-5)
+    np.testing.assert_allclose(sample(device, arrays, uv, width=2.0**1.55 / 8.0), coarse, atol=1e-5)
     mean = np.broadcast_to(image.mean(axis=(0, 1)), (60, 4))
     for width in (1.0, 50.0, np.inf):
         np.testing.assert_allclose(sample(device, arrays, uv, width=width), mean, atol=1e-5)
