@@ -59,12 +59,18 @@ def has_texels(world: wp.array[wp.vec3]) -> bool:
 
 
 @wp.func
-def step_of(sums: wp.array[float], first: int, place: int) -> float:
-    """Return by how much running sums from `first` on grow at a place."""
+def sum_before(sums: wp.array[float], first: int, place: int) -> float:
+    """Return the running sum, from `first` on, before a place."""
     below = float(0.0)
     if place > 0:
         below = sums[first + place - 1]
-    return sums[first + place] - below
+    return below
+
+
+@wp.func
+def step_of(sums: wp.array[float], first: int, place: int) -> float:
+    """Return by how much running sums from `first` on grow at a place."""
+    return sums[first + place] - sum_before(sums, first, place)
 
 
 @wp.func
@@ -114,9 +120,7 @@ def first_above(sums: wp.array[float], first: int, count: int, u: float) -> int:
 @wp.func
 def rest_of(sums: wp.array[float], first: int, place: int, u: float) -> float:
     """Return where u lies between the running sums before and at a place, in [0, 1)."""
-    below = float(0.0)
-    if place > 0:
-        below = sums[first + place - 1]
+    below = sum_before(sums, first, place)
     return wp.clamp((u - below) / wp.max(sums[first + place] - below, 1.0e-30), 0.0, BELOW_ONE)
 
 
