@@ -58,11 +58,15 @@ class StoredMesh:
         return MeshData(
             name=self.name, positions=self.positions, triangles=triangles, material_slots=slots,
             corner_normals=self._corner_normals(len(triangles)),
-            uv_maps={name: self._expand(values, CORNER, triangles) for name, values in self.uv_maps.items()},
+            uv_maps={name: self._by_corners(values) for name, values in self.uv_maps.items()},
             attributes=attributes | self._features(triangles), generated=self.generated)
 
     def _at_corners(self, values: np.ndarray) -> np.ndarray:
         return values if self.corners is None else values.take(self.corners, axis=0)
+
+    def _by_corners(self, values: np.ndarray) -> np.ndarray:
+        """Return [T, 3, C] of the [L, C] `values`."""
+        return self._at_corners(values).reshape(-1, 3, values.shape[-1])
 
     def _at_faces(self, values: np.ndarray) -> np.ndarray:
         return values if self.faces is None else values.take(self.faces, axis=0)
@@ -72,7 +76,7 @@ class StoredMesh:
         if domain == POINT:
             return values.take(triangles, axis=0, mode='clip')
         if domain == CORNER:
-            return self._at_corners(values).reshape(-1, 3, values.shape[-1])
+            return self._by_corners(values)
         return np.ascontiguousarray(np.repeat(self._at_faces(values)[:, None], 3, axis=1))
 
     def _corner_normals(self, count: int) -> np.ndarray:
@@ -84,7 +88,7 @@ class StoredMesh:
         zero = (normals[:, 0] == 0.0) & (normals[:, 1] == 0.0) & (normals[:, 2] == 0.0)
         if zero.any():
             normals = np.where(zero[:, None], np.float32((0.0, 0.0, 1.0)), normals)
-        return self._expand(normals, CORNER, np.empty((0, 3), np.int32))
+        return self._by_corners(normals)
 
     def _features(self, triangles: np.ndarray) -> dict[str, np.ndarray]:
         """Return the attributes that are worked out from the mesh's edges."""

@@ -26,7 +26,7 @@ from .gbuffer import GBuffer
 from .geometry_math import INV_PI, is_finite3, max_component, mean_component
 from .intersect import offset_origin
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .light_candidate import (
     CANDIDATE_EMITTER,
     Candidate,
@@ -264,8 +264,7 @@ def light_place(
     left = sample_pair(seed, index, DIMENSION_RESAMPLE)[0]
     extinction = fog_at(fog, place.inside, place.position).extinction
     owner = owner_of(place.inside)
-    kept = LightSample()
-    kept.kind = -1
+    kept = no_light()
     candidate = Candidate()
     light = wp.vec3(0.0, 0.0, 0.0)
     value = float(1.0)

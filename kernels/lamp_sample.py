@@ -55,6 +55,14 @@ class LightSample:
 
 
 @wp.func
+def no_light() -> LightSample:
+    """Return the sample of no light."""
+    s = LightSample()
+    s.kind = -1
+    return s
+
+
+@wp.func
 def sample_round_lamp(light: Light, position: wp.vec3, u: wp.vec2, sample: LightSample) -> LightSample:
     """Sample a point or spot lamp."""
     s = sample

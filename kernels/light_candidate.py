@@ -16,7 +16,7 @@ from .environment_split import EnvironmentSplit
 from .environment_table import equirect_direction
 from .geometry_math import PI, TWO_PI, safe_sqrt
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .lamp_tables import draw_lamp
 from .light_tree import choose_by_tree
 from .sampling import BELOW_ONE
@@ -238,8 +238,7 @@ def replay(
     kind = candidate_kind(c)
     index = candidate_index(c)
     u = candidate_place(c)
-    s = LightSample()
-    s.kind = -1
+    s = no_light()
     # Indices are checked: a candidate may stem from before an edit.
     if kind == CANDIDATE_LAMP and index < scene.lights.lamp_count:
         s = draw_lamp(scene.lights, index, position, u)

@@ -44,7 +44,7 @@ def choice_of_none(u: float) -> LightChoice:
 
 @wp.func
 def consider(choice: LightChoice, light: wp.vec3, target: float) -> LightChoice:
-    """Take what a light sample would add into a choice; nothing where the target is not above 0."""
+    """Take what a light sample would add into a choice, unless it is not finite or the target not above 0."""
     out = choice
     out.keeps_last = 0
     if target > 0.0 and is_finite3(light):

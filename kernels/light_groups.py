@@ -14,7 +14,7 @@ from .environment_table import sample_environment
 from .geometry_math import is_finite3, max_component, power_heuristic
 from .intersect import MISS, surface_point
 from .lamp_hit import FAR
-from .lamp_sample import LightSample, sample_lamp
+from .lamp_sample import LightSample, no_light, sample_lamp
 from .lamp_tables import meet_lamp
 from .light_linking import is_for, lamp_counts
 from .light_tree import choose_by_tree
@@ -137,7 +137,7 @@ def light_again(
     """
     lights = scene.lights
     found = FoundLight()
-    found.sample.kind = -1
+    found.sample = no_light()
     found.group = NO_GROUP
     total = class_total(lights, normal)
     if total <= 0.0:

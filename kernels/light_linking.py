@@ -54,6 +54,14 @@ def kinds_lit(scene: Scene, visibility: int, instance: int) -> int:
 
 
 @wp.func
+def kinds_lit_inside(scene: Scene, visibility: int, instance: int) -> int:
+    """Return the same for a medium that an instance holds; -1: none does, and all lights are for it."""
+    if instance < 0:
+        return visibility
+    return kinds_lit(scene, visibility, instance)
+
+
+@wp.func
 def kinds_lit_at(scene: Scene, gbuffer: GBuffer, pixel: int, visibility: int) -> int:
     """Return the same for the surface in a pixel, also of the frame before: there may be fewer instances now."""
     if scene.lights.linked == 1:

@@ -12,7 +12,7 @@ from .environment_table import sample_environment
 from .geometry_math import TWO_PI, transform_point
 from .intersect import hit_error, instance_shift
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .lamp_tables import draw_lamp
 from .light_tree import chance_by_tree, choose_by_tree
 from .sampling import BELOW_ONE, sample_triangle
@@ -161,23 +161,13 @@ def choose_class(lights: Lights, total: float, normal: wp.vec3, u: float) -> Cla
 
 
 @wp.func
-def no_light() -> LightSample:
-    """Return the sample of no light."""
-    s = LightSample()
-    s.kind = -1
-    return s
-
-
-@wp.func
-def sample_world(scene: Scene, chance: float, u: wp.vec2) -> LightSample:
-    """Draw a direction to the world, which is chosen with such a probability."""
+def sample_world(scene: Scene, u: wp.vec2) -> LightSample:
+    """Draw a direction to the world; the radiance is left to its program."""
     drawn = sample_environment(scene.environment, u)
-    if not (drawn.pdf * chance > 0.0):
-        return no_light()
     s = LightSample()
     s.kind = LIGHT_ENVIRONMENT
     s.wi = drawn.direction
-    s.pdf = drawn.pdf * chance
+    s.pdf = drawn.pdf
     s.brightness = drawn.pdf * scene.lights.environment_power
     s.distance = FAR
     s.radiance = wp.vec3(1.0, 1.0, 1.0)
@@ -228,7 +218,7 @@ def sample_light_of(
     chance = choice.weight / total
     # Each kind returns its own: a sample is large, and where branches meet all of it is copied.
     if choice.index == lights.environment_class:
-        return sample_world(scene, chance, wp.vec2(left, u[1]))
+        return chosen_with(sample_world(scene, wp.vec2(left, u[1])), chance)
     lamp = lights.local_lamp_count + choice.index - 1
     if choice.index == 0:
         local = choose_by_tree(lights.tree, position, normal, wp.vec2(left, refill))

@@ -8,10 +8,10 @@ import warp as wp
 from .geometry_math import TWO_PI, mean_component, power_heuristic, safe_sqrt, to_frame
 from .intersect import MISS
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .light_choice import LightChoice, chosen_light, consider
-from .light_linking import blockers, kinds_lit, note_receiver
-from .lights import class_total, no_light, sample_light_of
+from .light_linking import blockers, kinds_lit_inside, note_receiver
+from .lights import class_total, sample_light_of
 from .media import (
     Inside,
     Media,
@@ -87,7 +87,7 @@ def weigh_light(
 ) -> LightChoice:
     """Return a choice that has considered a light sample for a path, of which `value` is scattered its way.
 
-    `s.visibility`: as of kinds_lit where a mesh holds the medium.
+    `s.visibility`: from kinds_lit_inside.
     """
     weight = float(1.0)
     if s.delta == 0 and blockers(s.visibility) == 0:
@@ -165,8 +165,7 @@ def light_scattered(
         s = sample_light_of(
             scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
-            if instance >= 0:
-                s.visibility = kinds_lit(scene, s.visibility, instance)
+            s.visibility = kinds_lit_inside(scene, s.visibility, instance)
             value = phase_value(media, inside, wp.dot(paths.direction[path], s.wi))
             choice = weigh_light(scene, choice, s, value, paths, path)
             if choice.keeps_last == 1:

@@ -13,7 +13,7 @@ from .clear_paths import pane_length, pass_pane
 from .geometry_math import is_finite3, max_component, normalize_or, power_heuristic
 from .intersect import may_emit, offset_origin, triangle_material
 from .lamp_hit import FAR
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .light_choice import LightChoice, choice_of_none, chosen_light, consider
 from .light_linking import (
     blockers,
@@ -23,7 +23,7 @@ from .light_linking import (
     note_blockers,
     note_receiver,
 )
-from .lights import class_total, emitter_pdf, no_light, sample_light_of
+from .lights import class_total, emitter_pdf, sample_light_of
 from .node_input import deeper
 from .paths import (
     LONG_PATH,

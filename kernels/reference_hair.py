@@ -11,9 +11,10 @@ import warp as wp
 from .hair_exit import leaving_point
 from .hair_lobes import HairLobes, evaluate_hair, hair_lobes, sample_hair
 from .lamp_hit import FAR
+from .lamp_sample import no_light
 from .light_choice import chosen_light, consider
 from .light_linking import kinds_lit, note_receiver
-from .lights import class_total, no_light, sample_light_of
+from .lights import class_total, sample_light_of
 from .path_shading import (
     LIGHT_CANDIDATES,
     aim_shadow_ray,

@@ -12,11 +12,11 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import luminance
-from .lamp_sample import LightSample
+from .lamp_sample import LightSample, no_light
 from .layering import prepare_bsdf
 from .light_choice import choice_of_none, consider
 from .light_linking import kinds_lit
-from .lights import class_total, no_light, sample_light_of
+from .lights import class_total, sample_light_of
 from .path_shading import candidate_place, front_of, set_shadow_ray, visible_part
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import evaluate_bsdf

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .light_linking import kinds_lit
-from .lights import class_total, no_light, sample_light_of
+from .lamp_sample import no_light
+from .light_linking import kinds_lit_inside
+from .lights import class_total, sample_light_of
 from .media import Inside, Media, MediaPaths, load_inside
 from .media_scatter import aim_at_choice, go_on_scattered, scattered_direction, weigh_light
 from .path_shading import LIGHT_CANDIDATES, begin_choice, candidate_place
@@ -48,8 +49,7 @@ def light_in_volume(
         s = sample_light_of(
             scene, classes, position, no_side, candidate_place(place, float(k), LIGHT_CANDIDATES), refill)
         if s.kind >= 0:
-            if instance >= 0:
-                s.visibility = kinds_lit(scene, s.visibility, instance)
+            s.visibility = kinds_lit_inside(scene, s.visibility, instance)
             value = phase_value_at(media, volumes, inside, position, wp.dot(paths.direction[path], s.wi))
             choice = weigh_light(scene, choice, s, value, paths, path)
             if choice.keeps_last == 1:
