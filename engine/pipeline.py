@@ -159,8 +159,8 @@ class Pipeline:
             self._graphs, self._recorded_for = {}, recorded_for
         # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
         # of their own.
-        key = (views.parity, self._settings.denoiser.rest_gather and views.rest > 0,
-               light_phase(views.frame, views.light_age, moved=views.moved_age == 0))
+        resting = self._settings.denoiser.rest_gather and views.rest > 0
+        key = views.parity, resting, light_phase(views.frame, views.light_age, views.moved_age, resting=resting)
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
             self.records += 1
@@ -256,8 +256,8 @@ class Pipeline:
                 traced.options, traced.samples, jitter=self._settings.reflections.jitter)
 
     def _record_direct(
-        self, graph: FrameGraph, parity: int, phase: LightPhase, scene: DeviceScene, kernels_scene: Scene,
-        views: wp.array, surfaces: GBuffer, fog: Fog | None,
+        self, graph: FrameGraph, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene,
+        kernels_scene: Scene, views: wp.array, surfaces: GBuffer, fog: Fog | None,
     ) -> DirectLight:
         """Record direct light and its filter; `kernels_scene`: from light_scene."""
         graph.join(REPROJECTION)
@@ -271,7 +271,8 @@ class Pipeline:
             # A sun's shadows have narrow edges and no noise beside them: blurred they would be wider.
             return self.direct_denoise.record(
                 graph, parity, views, surfaces, before, reprojection, direct,
-                noisy=phase is LightPhase.SWEEPING and scene.local_power > 0.0)
+                noisy=phase is LightPhase.SWEEPING and scene.local_power > 0.0,
+                changing=resting or phase is not LightPhase.SETTLED)
 
     def _record(
         self, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene, views: wp.array, motion: Motion,
@@ -328,8 +329,8 @@ class Pipeline:
                     self.direct.emitters if lit else None, after=branches)
             branches += (self.hair.name,)
         with graph.branch(DIRECT):
-            direct = (self._record_direct(graph, parity, phase, scene, kernels_scene, views, surfaces, fog) if lit
-                      else self._black)
+            direct = self._black if not lit else self._record_direct(
+                graph, parity, resting, phase, scene, kernels_scene, views, surfaces, fog)
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         if fog is not None:
             self.fog.record_samples(

@@ -12,6 +12,7 @@ from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
 from ...kernels.hash_grid import BUCKET, HashGrid
 from ...kernels.paths import Paths
+from ...kernels.view import MOVED_FRAMES
 from ..frame_graph import FrameGraph
 from ..work_list import LISTED_THREADS, WorkList
 
@@ -45,15 +46,17 @@ class LightPhase(enum.Enum):
     """Cells are means of many frames."""
 
 
-def light_phase(frame: int, light_age: int, *, moved: bool) -> LightPhase:
+def light_phase(frame: int, light_age: int, moved_age: int, *, resting: bool) -> LightPhase:
     """Return the phase of a frame, by View's counters; as cache_spread.sweeping and REBALANCE_FRAMES.
 
-    Where something but the camera has `moved` light counts as still spreading: bounce rays of the frame before would
-    start where surfaces were.
+    Where something but the camera has moved light counts as still spreading: bounce rays of the frame before would
+    start where surfaces were, and shadows may have changed (kernels/direct_change.py), for which frames that are
+    `resting` need no record of their own.
     """
     age = min(light_age, frame)
     if age < float(cache_spread.SWEEP_FRAMES):
         return LightPhase.SWEEPING
+    moved = moved_age < (1 if resting else int(MOVED_FRAMES))
     return LightPhase.SPREADING if age < SETTLED or moved else LightPhase.SETTLED
 
 

@@ -66,7 +66,7 @@ class DirectDenoisePass:
 
     def record(
         self, graph: FrameGraph, parity: int, views: wp.array, gbuffer: GBuffer, previous_gbuffer: GBuffer,
-        reprojection: Reprojection, direct: DirectLight, *, noisy: bool = True,
+        reprojection: Reprojection, direct: DirectLight, *, noisy: bool = True, changing: bool = True,
     ) -> DirectLight:
         """Record both filters; return the filtered light.
 
@@ -80,6 +80,7 @@ class DirectDenoisePass:
             direct: Exposed, demodulated; w = 0 where this frame has no sample.
             noisy: Whether the light is new and of lights with some extent. Else one pass does: means over frames have
                 little noise that is not the edge of a shadow.
+            changing: Whether something but the camera may just have moved.
 
         Returns:
             Like `direct`, w = 1 where light is known; the same arrays in every frame, of either parity.
@@ -88,9 +89,14 @@ class DirectDenoisePass:
         source, target = self._lights
         history = self.history.current(parity)
         previous, change = self.history.previous(parity), _words(self._change)
-        graph.launch(
-            direct_change.find_direct_changes, count,
-            [views, gbuffer, reprojection, *size, *_words(direct), previous], change)
+        if changing:
+            # What pixels have found goes where the filters will put their light.
+            compared = [*_words(source), _words(target)[0]]
+            graph.launch(
+                direct_change.compare_direct, count,
+                [views, gbuffer, reprojection, *size, *_words(direct), previous], compared)
+            graph.launch(
+                direct_change.find_direct_changes, count, [views, gbuffer, *size, *compared], change)
         graph.launch(
             direct_temporal.accumulate_direct, count,
             [views, gbuffer, previous_gbuffer, reprojection, *size, *_words(direct), previous, *change,

@@ -14,6 +14,7 @@ from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
 from burnish.kernels.cache_rays import UNWATCHED, resume_bounces
 from burnish.kernels.hash_grid import NO_CELL
 from burnish.kernels.paths import ENDED
+from burnish.kernels.view import MOVED_FRAMES
 
 from tests import scenes
 
@@ -77,8 +78,9 @@ def test_phases_by_age():
     ages = {0: LightPhase.SWEEPING, 15: LightPhase.SWEEPING, 16: LightPhase.SPREADING,
             SETTLED - 1: LightPhase.SPREADING, SETTLED: LightPhase.SETTLED}
     for age, phase in ages.items():
-        assert light_phase(age, 10**6, moved=False) is light_phase(10**6, age, moved=False) is phase
-    assert light_phase(10**6, 10**6, moved=True) is LightPhase.SPREADING
+        assert light_phase(age, 10**6, 10**6, resting=False) is light_phase(10**6, age, 10**6, resting=True) is phase
+    assert light_phase(10**6, 10**6, int(MOVED_FRAMES) - 1, resting=False) is LightPhase.SPREADING
+    assert light_phase(10**6, 10**6, 1, resting=True) is LightPhase.SETTLED
 
 
 @pytest.mark.slow
@@ -141,12 +143,12 @@ def test_bounce_rays_are_followed_once(settled):
 def test_edit_of_light_leaves_nothing_behind(settled):
     """Edit light in a settled frame: samples left for the next one are not taken for light of then."""
     made, picture = settled
-    fly(made, 2, 500)
+    fly(made, int(MOVED_FRAMES) + 1, 500)
     grid = made._realtime.pipeline.cache.grid
     assert grid.counts.numpy().any()
     grid.counts.fill_(1)
     grid.sums.fill_(1 << 40)
     made.update(SceneDelta(lights=[]))
-    fly(made, 2, 502)
+    fly(made, 2, 510)
     assert LightPhase.SWEEPING in phases(made)
     assert made.read()[..., :3].mean() < picture.mean()
