@@ -39,7 +39,7 @@ TAP_SHARE = wp.constant(0.25)
 TURN = wp.constant(2.3999632)
 # As many samples is the probes' light worth for each pixel's width of distance to what is around; between:
 PROBE_SAMPLES = wp.constant(1.0)
-PROBE_LEAST = wp.constant(10.0)
+PROBE_LEAST = wp.constant(5.0)
 PROBE_MOST = wp.constant(200.0)
 
 
@@ -82,6 +82,7 @@ def blend_gathered(
         bits = hash_combine(hash32(wp.uint32(pixel)), wp.uint32(view.frame))
         turn = TWO_PI * to_unit(bits)
         shift = to_unit(hash32(bits))
+        pixels = float(1.0)
         k = int(0)
         while k < TAPS:
             u = (float(k) + shift) / float(TAPS)
@@ -97,6 +98,7 @@ def blend_gathered(
                     other = unpack_halves(history.state[q])
                     if other[2] * distance > TAP_SHARE:
                         other[0] = 0.0
+                    pixels += wp.where(other[0] > 0.0, w, 0.0)
                     w *= other[0]
                     light += unpack_mean(history.light[q]) * w
                     closeness += other[2] * w
@@ -106,7 +108,8 @@ def blend_gathered(
         if total > 0.0:
             apart = total / wp.max(closeness, 1.0e-9)
             known = wp.clamp(PROBE_SAMPLES * apart, PROBE_LEAST, PROBE_MOST)
-            # What anti-aliasing will have averaged, not what is known here now: at edges that is little in each frame.
-            found = samples * float(TAPS + 1)
+            # What anti-aliasing will have averaged, not what is known here now: that is little at edges. Less, too,
+            # where few pixels around show the same surface.
+            found = samples * pixels
             result = wp.lerp(result, light / total, found / (found + known))
     indirect_out[pixel] = pack_mean(result)

@@ -7,8 +7,9 @@ where F is nearly right, so that it bears wide kernels: F's detail stays, P's li
 band is known from the samples. A band's coefficient d is noise where it is no larger than its deviation: with the ratio
 z = d^2 / variance, averaged over 5x5 pixels, it is weighed by 1 - 1.5 / z (empirical Wiener shrinkage, as in image
 denoising by wavelets; Ghael et al. 1997), or by its own z where it alone sticks out. The coarsest band passes whole: it
-carries the light that F has too much or too little. As the samples increase every z grows and every weight goes to 1:
-the limit is exactly P. A small error of F is always assumed, so that P also takes over where F is right.
+carries the light that F has too much or too little; but that of pixels at edges, which found no neighbours alike, has
+all of their noise and is weighed as well. As the samples increase every z grows and every weight goes to 1: the limit
+is exactly P. A small error of F is always assumed, so that P also takes over where F is right.
 """
 
 from __future__ import annotations
@@ -50,6 +51,12 @@ LARGEST_RATIO = wp.constant(6.0)
 
 # Variance of filtered coefficients rises by 1 + UNCERTAIN / samples for the same reason.
 UNCERTAIN = wp.constant(8.0)
+
+# Share of its variance that a pixel's coarsest r still has, from which on it counts as lonely, and wholly so.
+LONELY_FROM = wp.constant(0.2)
+LONELY_TO = wp.constant(0.6)
+# How fast pixels become lonely as their mean normal's squared length falls from 1: by texture alone none does.
+LONELY_NORMAL = wp.constant(10.0)
 
 # How fast weights fall with the logarithm of the ratio of F's brightness.
 BRIGHTNESS_SLOPE = wp.constant(6.0)
@@ -255,16 +262,77 @@ def split_band(
     ratio_out[pixel] = ratio
 
 
+@wp.kernel
+def split_lonely(
+    first: int,
+    # In:
+    residual: Residual,
+    film: Film,
+    variance: wp.array[float],
+    bands: int,
+    # Out:
+    coarser_out: wp.array[wp.vec4],
+    ratio_out: wp.array[wp.vec2],
+):
+    """Split the coarsest r as split_band does: into what passes whole, and what pixels without any like them have.
+
+    Those are at edges, and hold all of their noise in it, as none of the filters found them a neighbour.
+    """
+    pixel = first + wp.tid()
+    own = residual.color[pixel]
+    coarser = own
+    ratio = wp.vec2(0.0, -1.0)
+    if own[3] >= 0.0:
+        few = 1.0 + UNCERTAIN / film_samples(film, pixel)
+        # Each band has widened it for few samples; once is meant.
+        left = own[3] / wp.pow(few, float(bands - 1))
+        kept = left / (few * wp.max(variance[pixel], 1.0e-30))
+        normal = rgb(residual.guide[pixel])
+        lonely = wp.clamp((kept - LONELY_FROM) / (LONELY_TO - LONELY_FROM), 0.0, 1.0)
+        lonely *= wp.clamp(LONELY_NORMAL * (1.0 - wp.dot(normal, normal)), 0.0, 1.0)
+        if lonely > 0.0:
+            square = wp.dot(rgb(own), rgb(own)) / 3.0
+            ratio = wp.vec2(square / wp.max(left, 1.0e-6 * square + 1.0e-30), left)
+            passing = rgb(own) * (1.0 - lonely)
+            coarser = wp.vec4(passing[0], passing[1], passing[2], own[3])
+    coarser_out[pixel] = coarser
+    ratio_out[pixel] = ratio
+
+
+@wp.func
+def assumed_share(variance: float, brightness: float) -> float:
+    """Return the share of a coefficient that passes where F seems right; `brightness`: F's mean square."""
+    relative = variance / (brightness + DARK * DARK)
+    return ASSUMED_ERROR * ASSUMED_ERROR / (ASSUMED_ERROR * ASSUMED_ERROR + relative)
+
+
 @wp.func
 def passing_share(together: float, alone: float, variance: float, brightness: float, samples: float) -> float:
     """Return the share of a coefficient that is signal, 0..1; exactly 1 without variance."""
     share = float(1.0)
     if variance > 0.0:
-        relative = variance / (brightness + DARK * DARK)
         share = wp.max(1.0 - TOGETHER / wp.max(together, TOGETHER),
                        1.0 - wp.min((ALONE + ALONE_FEW / samples) / wp.max(alone, 1.0e-3), 1.0))
-        share = wp.max(share, ASSUMED_ERROR * ASSUMED_ERROR / (ASSUMED_ERROR * ASSUMED_ERROR + relative))
+        share = wp.max(share, assumed_share(variance, brightness))
     return share
+
+
+@wp.func
+def mean_ratio(residual: Residual, ratio: wp.array[wp.vec2], pixel: int) -> float:
+    """Return the mean z of the 5x5 pixels around one that has one itself."""
+    x = pixel % residual.width
+    y = pixel // residual.width
+    total = float(0.0)
+    count = float(0.0)
+    for dy in range(-2, 3):
+        for dx in range(-2, 3):
+            qx = wp.clamp(x + dx, 0, residual.width - 1)
+            qy = wp.clamp(y + dy, 0, residual.height - 1)
+            z = ratio[qy * residual.width + qx]
+            if z[1] >= 0.0:
+                total += wp.min(z[0], LARGEST_RATIO)
+                count += 1.0
+    return total / count
 
 
 @wp.kernel
@@ -285,24 +353,36 @@ def take_noise(
     own = residual.color[pixel]
     share = float(0.0)
     if own[3] >= 0.0:
-        x = pixel % residual.width
-        y = pixel // residual.width
-        total = float(0.0)
-        count = float(0.0)
-        for dy in range(-2, 3):
-            for dx in range(-2, 3):
-                qx = wp.clamp(x + dx, 0, residual.width - 1)
-                qy = wp.clamp(y + dy, 0, residual.height - 1)
-                z = ratio[qy * residual.width + qx]
-                if z[1] >= 0.0:
-                    total += wp.min(z[0], LARGEST_RATIO)
-                    count += 1.0
         z = ratio[pixel]
         share = passing_share(
-            total / count, z[0], z[1], mean_square(picture[pixel]), film_samples(film, pixel))
+            mean_ratio(residual, ratio, pixel), z[0], z[1], mean_square(picture[pixel]), film_samples(film, pixel))
         d = (rgb(own) - rgb(coarser[pixel])) * (1.0 - share)
         kept_out[pixel] = kept_out[pixel] - wp.vec4(d[0], d[1], d[2], 0.0)
     share_out[pixel] = share
+
+
+@wp.kernel
+def take_lonely_noise(
+    first: int,
+    # In:
+    residual: Residual,
+    coarser: wp.array[wp.vec4],
+    ratio: wp.array[wp.vec2],
+    picture: wp.array[wp.vec4],
+    # Out:
+    kept_out: wp.array[wp.vec4],
+):
+    """Take off what is noise of the coarsest r of pixels without any like them, see split_lonely.
+
+    Less strictly than take_noise: frames err at edges too.
+    """
+    pixel = first + wp.tid()
+    z = ratio[pixel]
+    if z[1] >= 0.0:
+        share = 1.0 - 1.0 / wp.max(wp.max(mean_ratio(residual, ratio, pixel), z[0]), 1.0)
+        share = wp.max(share, assumed_share(z[1], mean_square(picture[pixel])))
+        d = (rgb(residual.color[pixel]) - rgb(coarser[pixel])) * (1.0 - share)
+        kept_out[pixel] = kept_out[pixel] - wp.vec4(d[0], d[1], d[2], 0.0)
 
 
 @wp.kernel

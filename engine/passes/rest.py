@@ -92,17 +92,27 @@ class RestBlend:
                 self.width, self.height],
                [color, self._trust, self._guide, self._kept], self.device)
         for band in range(BANDS):
-            residual = rest_blend.Residual()
-            residual.color, residual.guide = color, self._guide
-            residual.width, residual.height = self.width, self.height
+            residual = self._residual(color)
             launch(rest_blend.split_band, count, [0, residual, film, self._trust, 1 << band],
                    [coarser, self._ratio], self.device)
             launch(rest_blend.take_noise, count, [0, residual, coarser, self._ratio, film, f_picture],
                    [self._kept, self._share if band else self.weight], self.device)
             color, coarser = coarser, color
+        residual = self._residual(color)
+        launch(rest_blend.split_lonely, count, [0, residual, film, self._variance, BANDS], [coarser, self._ratio],
+               self.device)
+        launch(rest_blend.take_lonely_noise, count, [0, residual, coarser, self._ratio, f_picture], [self._kept],
+               self.device)
         launch(rest_blend.finish, count, [0, film, f_picture, self._kept, self.weight, int(transparent)],
                [self._picture], self.device)
         return self._picture
+
+    def _residual(self, color: wp.array) -> rest_blend.Residual:
+        """Return what the kernels take of one level."""
+        residual = rest_blend.Residual()
+        residual.color, residual.guide = color, self._guide
+        residual.width, residual.height = self.width, self.height
+        return residual
 
     def scale_light(self, sharp: wp.array, shown: wp.array, light: wp.array) -> wp.array:
         """Return a lobe's direct or indirect light, vec3 [h * w], as a picture that is shown has it.

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -47,7 +49,7 @@ class Samples:
         self.mean = color * total[:, None] / m
 
 
-def blend_of(device: str, film: FilmBuffers, picture: np.ndarray, **options: bool) -> tuple[np.ndarray, np.ndarray]:
+def blend_of(device: str, film: FilmBuffers, picture: np.ndarray, **options: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the blend [n, 4] and the path-traced share [n]."""
     blend = RestBlend(device)
     blend.resize(W, H)
@@ -178,3 +180,23 @@ def test_film_counts_squares(device):
     np.testing.assert_allclose(buffers.film.squares.numpy(), expected, rtol=1e-5)
     buffers.clear()
     assert not buffers.film.squares.numpy().any()
+
+
+@pytest.mark.parametrize(("error_of_frames", "share"), [(1.0, 0.5), (3.0, 0.05)])
+def test_pixels_without_any_like_them(device, error_of_frames, share):
+    """Take noise off single pixels whose normals are mixed, as at edges, and put right what frames got wrong there."""
+    color = truth().reshape(H, W, 3)
+    lonely = np.zeros((H, W), bool)
+    lonely[::8, ::8] = True
+    color[lonely] *= np.exp(np.random.default_rng(1).uniform(1.5, 6.0, (lonely.sum(), 1)))
+    lonely, color = lonely.reshape(-1), color.reshape(-1, 3)
+    normals = np.where(lonely[:, None], [0.0, 0.0, 0.7], [0.0, 0.0, 1.0]).astype(np.float32)
+    samples = Samples(device, color, 32, 3.0)
+    frames = np.where(lonely[:, None], color * error_of_frames, color)
+    picture, _ = blend_of(
+        device, samples.buffers, opaque(frames), normals=wp.array(normals, dtype=wp.vec3, device=device))
+
+    def error(values: np.ndarray) -> float:
+        return float(((values / color - 1.0)[lonely] ** 2).mean())
+
+    assert error(picture[:, :3]) < share * max(error(samples.mean), error(frames))
