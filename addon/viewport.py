@@ -19,7 +19,7 @@ from ..engine.device import start_warp
 from ..engine.report import Report, ReportKind
 from ..engine.report_realtime import SceneFacts, realtime_approximations, scene_facts
 from ..engine.scene import SceneDelta
-from . import preferences, report
+from . import oidn, preferences, report
 from .builds import build_kernels, open_session
 from .display import Display, free_shader
 from .extract.camera import border_from_view, camera_from_view
@@ -187,7 +187,7 @@ class Viewport:
         self._display.free()
         # Before the extraction, which folds constants with Warp's functions and would start it with its banner.
         start_warp()
-        self._worker = ViewportWorker(open_session, build_kernels)
+        self._worker = ViewportWorker(open_session, build_kernels, library=oidn.library())
         self._worker.start()
         viewports.add(self)
 

@@ -22,6 +22,7 @@ from ..engine.settings import RenderSettings
 from .builds import build_kernels, build_rest, open_session, telling_builds
 from .picture import Picture, display_pixels
 from .resolution import ResolutionControl, divided_size
+from .rest_denoise import RestDenoiser
 from .view_request import ViewRequest, divided_crop, divided_settings, picture_area, real_time, restarts, step_text
 
 __all__ = ["ViewportWorker", "WorkerStatus"]
@@ -67,7 +68,15 @@ class ViewportWorker:
 
     def __init__(self, session_factory: Callable[[RenderSettings], Any] = open_session,
                  build: Callable[..., None] = build_kernels,
-                 build_others: Callable[[str], None] = build_rest) -> None:
+                 build_others: Callable[[str], None] = build_rest, library: Any = None) -> None:
+        """Make the thread; start() starts it.
+
+        Args:
+            session_factory: Opens the session.
+            build: Builds the kernels of the first picture.
+            build_others: Builds those that it does not need.
+            library: Open Image Denoise, from oidn.library; None: nothing is denoised.
+        """
         self._session_factory = session_factory
         self._build, self._build_others = build, build_others
         self._wakeup = threading.Condition()
@@ -97,6 +106,7 @@ class ViewportWorker:
         self._publish_cost = 0.0
         self._has_scene = False
         self._planned: ViewRequest | None = None
+        self._rest = RestDenoiser(library)
         self._thread = threading.Thread(target=self._run, name="burnish viewport", daemon=True)
 
     # Main thread -----------------------------------------------------------------------------------------------------
@@ -308,7 +318,11 @@ class ViewportWorker:
         if not last_level and self._may_refine(request):
             self._level += 1
         shown = SHOWN_FRAMES if real_time(request) else 2
-        if not last_level or done <= shown or finished or self._publishing_pays():
+        if last_level and self._rest.takes_over(request, session):
+            picture = self._rest.picture(session, self._interrupted, last=finished)
+            if picture is not None:
+                self._publish(request, divider, done, picture)
+        elif not last_level or done <= shown or finished or self._publishing_pays():
             self._publish(request, divider, done)
         if last_level:
             # An edit may need any of them; the first picture came first.
@@ -337,25 +351,26 @@ class ViewportWorker:
         elapsed = time.perf_counter() - self._published_at
         return elapsed >= max(PUBLISH_SECONDS, self._publish_cost / PUBLISH_SHARE)
 
-    def _publish(self, request: ViewRequest, divider: int, samples: int) -> None:
+    def _publish(self, request: ViewRequest, divider: int, samples: int, picture: Any = None) -> None:
         start = time.perf_counter()
         self._picture_serial += 1
-        self._picture = Picture(serial=self._picture_serial, pixels=self._pixels_to_draw(request, divider),
+        self._picture = Picture(serial=self._picture_serial, pixels=self._pixels_to_draw(request, divider, picture),
                                 area=picture_area(request, divider), samples=samples, divider=divider)
         self._published_at = time.perf_counter()
         self._publish_cost = self._published_at - start
 
-    def _pixels_to_draw(self, request: ViewRequest, divider: int) -> Any:
+    def _pixels_to_draw(self, request: ViewRequest, divider: int, picture: Any) -> Any:
+        """Return the session's picture, or another one of its device (vec4 [h * w]), as it is drawn."""
         transparent = request.settings.film.transparent
         if self._reader is None:
             return display_pixels(self._session.read("Combined"), transparent)
         width, height = self._rendered_size(request, divider)
-        picture = self._session.resolve()
+        picture = self._session.resolve() if picture is None else picture
         if self.share_pictures and self._reader.cuda:
             return self._reader.on_device(picture, width, height)
         if not transparent:
             return self._reader.packed(picture, width, height)
-        return display_pixels(self._session.read("Combined"), transparent)
+        return display_pixels(picture.numpy().reshape(height, width, 4), transparent)
 
 
 def records_of(session: Any) -> int:

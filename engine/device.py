@@ -27,7 +27,7 @@ from .settings import Device
 __all__ = [
     "DeviceInfo", "block_size", "choose_device", "device_errors", "device_info", "hear_of_build", "hear_of_builds",
     "host_array", "is_loaded", "kernel_cache_folder", "launch", "launch_bands", "load_module", "loaded_modules",
-    "run_bands", "start_warp", "thread_count", "use_threads",
+    "run_bands", "start_warp", "thread_count", "use_threads", "used_memory",
 ]
 
 # Threads a block on CUDA. Paths in a block end their kernels at very different times and a block's room is free only
@@ -337,3 +337,9 @@ def record(kernel: wp.Kernel, inputs: list, outputs: list, device: str, count: i
     load_module(kernel.module.name, device)
     return wp.launch(kernel, count, inputs, outputs, device=device, block_dim=block_size(kernel.module.name, device),
                      record_cmd=True)
+
+
+def used_memory(alias: str) -> int:
+    """Return how many bytes Warp's pool has handed out on a device; 0 where there is none."""
+    device = wp.get_device(alias)
+    return int(wp.get_mempool_used_mem_current(device)) if device.is_cuda and device.is_mempool_enabled else 0

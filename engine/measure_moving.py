@@ -185,7 +185,7 @@ class MovingCamera:
             for _ in range(count):
                 self.issue()
                 sections.append(self.session.frame_times)
-                kernels.append(self.session.kernel_times)
+                kernels.append(self.session.pipeline.kernel_times)
         finally:
             self.session.timed = False
         return medians(sections), medians(kernels)

@@ -13,8 +13,10 @@ import ctypes
 import functools
 import logging
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import warp as wp
 
@@ -24,12 +26,16 @@ __all__ = ["Images", "denoise", "load", "release"]
 
 log = logging.getLogger(__name__)
 
+CANCELLED = 6
+"""OIDN_ERROR_CANCELLED"""
 DEVICE_CPU = 1
 """OIDN_DEVICE_TYPE_CPU"""
 FORMAT_FLOAT3 = 3
 """OIDN_FORMAT_FLOAT3"""
 
 _handle, _text, _size = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t
+_Monitor = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_double)
+"""OIDNProgressMonitorFunction: told how far a filter is, returns whether it goes on"""
 
 SIGNATURES = {
     "oidnNewDevice": (_handle, [ctypes.c_int]),
@@ -41,6 +47,7 @@ SIGNATURES = {
     "oidnNewFilter": (_handle, [_handle, _text]),
     "oidnSetSharedFilterImage": (None, [_handle, _text, ctypes.c_void_p, ctypes.c_int, *[_size] * 5]),
     "oidnSetFilterBool": (None, [_handle, _text, ctypes.c_bool]),
+    "oidnSetFilterProgressMonitorFunction": (None, [_handle, _Monitor, ctypes.c_void_p]),
     "oidnCommitFilter": (None, [_handle]),
     "oidnExecuteFilter": (None, [_handle]),
     "oidnReleaseFilter": (None, [_handle]),
@@ -89,12 +96,19 @@ def load(path: Path) -> ctypes.CDLL:
     return found
 
 
-def denoise(library: ctypes.CDLL, images: Images, processor: bool = False) -> str:
-    """Filter `images.color` into `images.output` and return what did it: "cuda" or "cpu".
+def never() -> bool:
+    """Return that nobody asks to stop."""
+    return False
+
+
+def denoise(library: ctypes.CDLL, images: Images, should_stop: Callable[[], bool] = never,
+            processor: bool = False) -> str:
+    """Filter `images.color` into `images.output` and return what did it: "cuda" or "cpu", "" where told to stop.
 
     Args:
         library: From `load`.
         images: On the processor or a CUDA device.
+        should_stop: Polled often by the library's processor device, from its threads.
         processor: Use the library's processor device although the images are on a CUDA device.
 
     Raises:
@@ -112,14 +126,14 @@ def denoise(library: ctypes.CDLL, images: Images, processor: bool = False) -> st
                 drop_denoiser(library, device.ordinal, device.stream.cuda_stream or 0)
         kept = keep_denoiser(library, -1, 0)
         if not device.is_cuda:
-            kept.run(images)
-            return "cpu"
+            return "cpu" if kept.run(images, should_stop) else ""
         copies = Images(
             **{name: None if image is None else wp.array(image.numpy(), dtype=image.dtype, device="cpu")
                for name, image in (("color", images.color), ("output", images.output), ("albedo", images.albedo),
                                    ("normal", images.normal))},
             width=images.width, height=images.height, clean=images.clean, prefilter=images.prefilter)
-        kept.run(copies)
+        if not kept.run(copies, should_stop):
+            return ""
         wp.copy(images.output, copies.output)
         for guide, filtered in ((images.albedo, copies.albedo), (images.normal, copies.normal)):
             if images.prefilter and guide is not None:
@@ -183,14 +197,17 @@ class Denoiser:
             self.release()
             raise
 
-    def _check(self) -> None:
+    def _check(self) -> bool:
+        """Return whether the library went through; not if it was told to stop."""
         message = ctypes.c_char_p()
-        if self.library.oidnGetDeviceError(self._device, ctypes.byref(message)):
+        code = self.library.oidnGetDeviceError(self._device, ctypes.byref(message))
+        if code and code != CANCELLED:
             reason = (message.value or b"unknown error").decode(errors="replace").rstrip(".")
             raise BurnishError(f"Open Image Denoise failed: {reason}.")
+        return code == 0
 
-    def run(self, images: Images) -> None:
-        """Filter a picture and wait for it; first its guides, in place, if they are to be.
+    def run(self, images: Images, should_stop: Callable[[], bool] | None = None) -> bool:
+        """Filter a picture and wait for it; first its guides, in place, if they are to be. False if told to stop.
 
         Raises:
             BurnishError: The library failed.
@@ -200,13 +217,16 @@ class Denoiser:
             used["albedo"] = images.albedo
             if images.normal is not None:
                 used["normal"] = images.normal
+        monitor = _Monitor() if should_stop is None else _Monitor(lambda _, __: not should_stop())
         if images.prefilter:
             for name in used.keys() & {"albedo", "normal"}:
-                self._execute(name, {name: used[name], "output": used[name]}, images, ())
+                if not self._execute(name, {name: used[name], "output": used[name]}, images, (), monitor):
+                    return False
         clean = "normal" in used and (images.clean or images.prefilter)
-        self._execute("color", used, images, (b"hdr", b"cleanAux") if clean else (b"hdr",))
+        return self._execute("color", used, images, (b"hdr", b"cleanAux") if clean else (b"hdr",), monitor)
 
-    def _execute(self, kind: str, used: dict[str, wp.array], images: Images, switches: tuple[bytes, ...]) -> None:
+    def _execute(self, kind: str, used: dict[str, wp.array], images: Images, switches: tuple[bytes, ...],
+                 monitor: Any) -> bool:
         """Run the filter of a kind of picture over arrays, by the library's names, with some switches on."""
         library = self.library
         made_for = images.width, images.height, tuple(used), switches
@@ -223,9 +243,10 @@ class Denoiser:
             library.oidnSetSharedFilterImage(
                 handle, name.encode(), image.ptr, FORMAT_FLOAT3, images.width, images.height, 0, stride,
                 stride * images.width)
+        library.oidnSetFilterProgressMonitorFunction(handle, monitor, None)
         library.oidnCommitFilter(handle)
         library.oidnExecuteFilter(handle)
-        self._check()
+        return self._check()
 
     def _release_filter(self, kind: str) -> None:
         if kind in self._filters:

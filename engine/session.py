@@ -2,8 +2,7 @@
 """A Session: one scene on one device, seen by one camera, drawn by one of the integrators.
 
 update() takes what changed in the scene, configure() takes settings and camera, step() adds samples, read() gives
-pictures; move() goes on to another moment of the same picture. Not thread-safe: one thread at a time. Knows nothing of
-Blender.
+pictures; move() goes on to another moment of the same one. One thread at a time. Knows nothing of Blender.
 """
 
 from __future__ import annotations
@@ -17,10 +16,11 @@ import numpy as np
 import warp as wp
 
 from ..kernels.paths import Options
-from .device import choose_device, device_errors, device_info
+from .device import choose_device, device_errors, device_info, used_memory
 from .device_scene import DeviceScene
 from .errors import InvalidScene
 from .frame_data import frame_row
+from .oidn import never
 from .pass_names import SHADOW_CATCHER, first_hit_channels
 from .passes.composite import LIGHT_PASSES
 from .passes.final_denoise import FinalDenoise
@@ -119,7 +119,7 @@ class Session:
             triangles=scene.triangle_count, instances=len(scene.rows),
             lights=len(scene.lamps) + len(scene.emitters.power), texture_bytes=int(scene.textures.bytes),
             structure=scene.structures.description, times=dict(scene.times, **delta.extra.get("times", {})))
-        self.stats.device_bytes = self._memory()
+        self.stats.device_bytes = used_memory(self.device)
         changes = scene.changes
         self._pass.note_scene()
         if not changes.followed:
@@ -259,11 +259,6 @@ class Session:
         return {} if self._realtime is None else self._realtime.pipeline.times
 
     @property
-    def kernel_times(self) -> dict[str, float]:
-        """Return the same by kernel."""
-        return {} if self._realtime is None else self._realtime.pipeline.kernel_times
-
-    @property
     def pipeline(self) -> Pipeline | None:
         """Return the passes of real-time frames, to look at; None before there are any."""
         return None if self._realtime is None else self._realtime.pipeline
@@ -325,42 +320,52 @@ class Session:
         self._sampling_report = self._film.oddities(self._scene.structures.has_filtered)
         return self._pass.resolve(self._film, self.settings.film.transparent, self.settings.film.exposure)
 
-    def guides(self) -> tuple[wp.array, wp.array]:
-        """Return albedo, 0..1, and normal of what pixels show, as read_denoised() uses them: vec3 [h * w] each."""
-        options, done = self._options(False), self.samples_done
-        return self.denoiser.guides(self._tracer(), self._scene.scene, self._frame, options, self._filter, done)
+    def guides(self, should_stop: Callable[[], bool] = never) -> tuple[wp.array, wp.array] | None:
+        """Return albedo, 0..1, and normal of what pixels show, as denoising uses them: vec3 [h * w] each."""
+        return self.denoiser.guides(self._tracer(), self._scene.scene, self._frame, self._options(False), self._filter,
+                                    self.samples_done, should_stop)
 
     def _tracer(self) -> ReferencePass:
         """Return the path tracer that has states already."""
         traced = self._realtime.samples() if self._realtime is not None else None
         return self._pass if traced is None else traced[0]
 
+    @property
+    def traced_samples(self) -> int:
+        """Return how many path-traced samples the picture has, beside real-time frames or alone."""
+        return self._tracer().samples_done
+
     def read_denoised(self, library: ctypes.CDLL) -> np.ndarray:
-        """Return the Combined picture without noise: float32 [h, w, 4], as read() does.
+        """Return what resolve_denoised() does, as read() gives pictures: float32 [h, w, 4]."""
+        start, (width, height) = time.perf_counter(), self._size[2][2:]
+        flat = self._pages.read(self.resolve_denoised(library))
+        self.stats.times["denoise"] = time.perf_counter() - start
+        return flat.reshape(height, width, 4)
+
+    def resolve_denoised(self, library: ctypes.CDLL, should_stop: Callable[[], bool] = never) -> wp.array | None:
+        """Return the Combined picture without noise on the device: vec4 [h * w]; None where it was told to stop.
 
         Args:
             library: Open Image Denoise, from oidn.load.
+            should_stop: As of step(), on a processor.
 
         Raises:
             BurnishError: The library failed.
             OutOfDeviceMemory: What it needs beside the picture does not fit.
         """
-        start, (width, height) = time.perf_counter(), self._size[2][2:]
         traced, picture = (self._pass, self._film), None
         if self._realtime is not None:
             traced = self._realtime.samples()
             picture = self._realtime.picture() if self._realtime.frames > 0 else None
         with device_errors("denoising"):
             # A lens blurs what the guides show.
-            run = partial(self.denoiser.run, library, self.guides(), (width, height),
-                          clean=self._camera.aperture_radius <= 0.0, transparent=self.settings.film.transparent)
-            if self._pass.catchers is None:
-                denoised = run(traced=traced, picture=picture)
-            else:
-                denoised = self._pass.catchers.denoise(run, self.resolve())
-            flat = self._pages.read(denoised)
-        self.stats.times["denoise"] = time.perf_counter() - start
-        return flat.reshape(height, width, 4)
+            guides = self.guides(should_stop)
+            run = partial(
+                self.denoiser.run, library, guides, self._size[2][2:], clean=self._camera.aperture_radius <= 0.0,
+                transparent=self.settings.film.transparent, should_stop=should_stop)
+            if guides is None or self._pass.catchers is None:
+                return None if guides is None else run(traced=traced, picture=picture)
+            return self._pass.catchers.denoise(run, self.resolve())
 
     def _read_pass(self, name: str) -> np.ndarray:
         if name == SHADOW_CATCHER:
@@ -393,7 +398,3 @@ class Session:
         if passes not in self._kept_options or self._kept_options[passes][0] != key:
             self._kept_options[passes] = (key, path_options(self.settings, scene, passes))
         return self._kept_options[passes][1]
-
-    def _memory(self) -> int:
-        device = wp.get_device(self.device)
-        return int(wp.get_mempool_used_mem_current(device)) if device.is_cuda and device.is_mempool_enabled else 0

@@ -113,6 +113,8 @@ class SamplingSettings:
     viewport_samples: int = setting(
         1024, "Samples per pixel, or frames, after which a viewport in which nothing moves rests (0: never)", low=0,
         high=1 << 24, soft_high=4096)
+    viewport_denoise: bool = setting(
+        True, "Denoise path-traced samples of real-time viewports at rest by Blender's Open Image Denoise")
     viewport_preset: Preset = setting(
         Preset.CUSTOM, "Preset of viewports with the realtime integrator, instead of the settings of the final render")
     time_limit: float = setting(0.0, "Stop a final render after this time (0: no limit)", low=0.0, high=1e9,
@@ -368,8 +370,8 @@ class DenoiserSettings:
     rest_gather: bool = setting(
         True, "Gather indirect light for each pixel at rest: exact contacts and corners, for rays at rest alone")
     final_denoise: bool = setting(
-        False, "Denoise the combined pass of final renders by Blender's Open Image Denoise: smooth pictures from few "
-        "samples, all of them path-traced, for milliseconds on CUDA and a second or so on the processor")
+        False, "Denoise the combined pass of final renders, all of path-traced samples, by Blender's Open Image "
+        "Denoise: smooth pictures from few, for milliseconds on CUDA and a second or so on the processor")
 
 
 @dataclass(frozen=True, kw_only=True)

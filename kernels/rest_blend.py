@@ -8,8 +8,8 @@ band is known from the samples. A band's coefficient d is noise where it is no l
 z = d^2 / variance, averaged over 5x5 pixels, it is weighed by 1 - 1.5 / z (empirical Wiener shrinkage, as in image
 denoising by wavelets; Ghael et al. 1997), or by its own z where it alone sticks out. The coarsest band passes whole: it
 carries the light that F has too much or too little; but that of pixels at edges, which found no neighbours alike, has
-all of their noise and is weighed as well. As the samples increase every z grows and every weight goes to 1: the limit
-is exactly P. A small error of F is always assumed, so that P also takes over where F is right.
+all of their noise and is weighed as well (rest_lonely.py). As the samples increase every z grows and every weight goes
+to 1: the limit is exactly P. A small error of F is always assumed, so that P also takes over where F is right.
 """
 
 from __future__ import annotations
@@ -51,12 +51,6 @@ LARGEST_RATIO = wp.constant(6.0)
 
 # Variance of filtered coefficients rises by 1 + UNCERTAIN / samples for the same reason.
 UNCERTAIN = wp.constant(8.0)
-
-# Share of its variance that a pixel's coarsest r still has, from which on it counts as lonely, and wholly so.
-LONELY_FROM = wp.constant(0.2)
-LONELY_TO = wp.constant(0.6)
-# How fast pixels become lonely as their mean normal's squared length falls from 1: by texture alone none does.
-LONELY_NORMAL = wp.constant(10.0)
 
 # How fast weights fall with the logarithm of the ratio of F's brightness.
 BRIGHTNESS_SLOPE = wp.constant(6.0)
@@ -262,43 +256,6 @@ def split_band(
     ratio_out[pixel] = ratio
 
 
-@wp.kernel
-def split_lonely(
-    first: int,
-    # In:
-    residual: Residual,
-    film: Film,
-    variance: wp.array[float],
-    bands: int,
-    # Out:
-    coarser_out: wp.array[wp.vec4],
-    ratio_out: wp.array[wp.vec2],
-):
-    """Split the coarsest r as split_band does: into what passes whole, and what pixels without any like them have.
-
-    Those are at edges, and hold all of their noise in it, as none of the filters found them a neighbour.
-    """
-    pixel = first + wp.tid()
-    own = residual.color[pixel]
-    coarser = own
-    ratio = wp.vec2(0.0, -1.0)
-    if own[3] >= 0.0:
-        few = 1.0 + UNCERTAIN / film_samples(film, pixel)
-        # Each band has widened it for few samples; once is meant.
-        left = own[3] / wp.pow(few, float(bands - 1))
-        kept = left / (few * wp.max(variance[pixel], 1.0e-30))
-        normal = rgb(residual.guide[pixel])
-        lonely = wp.clamp((kept - LONELY_FROM) / (LONELY_TO - LONELY_FROM), 0.0, 1.0)
-        lonely *= wp.clamp(LONELY_NORMAL * (1.0 - wp.dot(normal, normal)), 0.0, 1.0)
-        if lonely > 0.0:
-            square = wp.dot(rgb(own), rgb(own)) / 3.0
-            ratio = wp.vec2(square / wp.max(left, 1.0e-6 * square + 1.0e-30), left)
-            passing = rgb(own) * (1.0 - lonely)
-            coarser = wp.vec4(passing[0], passing[1], passing[2], own[3])
-    coarser_out[pixel] = coarser
-    ratio_out[pixel] = ratio
-
-
 @wp.func
 def assumed_share(variance: float, brightness: float) -> float:
     """Return the share of a coefficient that passes where F seems right; `brightness`: F's mean square."""
@@ -359,30 +316,6 @@ def take_noise(
         d = (rgb(own) - rgb(coarser[pixel])) * (1.0 - share)
         kept_out[pixel] = kept_out[pixel] - wp.vec4(d[0], d[1], d[2], 0.0)
     share_out[pixel] = share
-
-
-@wp.kernel
-def take_lonely_noise(
-    first: int,
-    # In:
-    residual: Residual,
-    coarser: wp.array[wp.vec4],
-    ratio: wp.array[wp.vec2],
-    picture: wp.array[wp.vec4],
-    # Out:
-    kept_out: wp.array[wp.vec4],
-):
-    """Take off what is noise of the coarsest r of pixels without any like them, see split_lonely.
-
-    Less strictly than take_noise: frames err at edges too.
-    """
-    pixel = first + wp.tid()
-    z = ratio[pixel]
-    if z[1] >= 0.0:
-        share = 1.0 - 1.0 / wp.max(wp.max(mean_ratio(residual, ratio, pixel), z[0]), 1.0)
-        share = wp.max(share, assumed_share(z[1], mean_square(picture[pixel])))
-        d = (rgb(residual.color[pixel]) - rgb(coarser[pixel])) * (1.0 - share)
-        kept_out[pixel] = kept_out[pixel] - wp.vec4(d[0], d[1], d[2], 0.0)
 
 
 @wp.kernel

@@ -53,6 +53,7 @@ class BURNISH_RENDER_PT_sampling_viewport(BurnishPanel, Panel):
         layout, sampling = self.split_layout(), context.scene.burnish.sampling
         layout.prop(sampling, "viewport_samples", text=counted(sampling))
         if sampling.integrator == 'REALTIME':
+            layout.prop(sampling, "viewport_denoise", text="Denoise")
             layout.prop(sampling, "viewport_preset", text="Preset")
 
 

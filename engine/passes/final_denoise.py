@@ -10,6 +10,7 @@ R), and the two are averaged: their errors differ. O's share falls with the samp
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -20,6 +21,7 @@ from ...kernels.types import Scene
 from .. import oidn
 from ..device import launch
 from ..history import copy_struct
+from ..oidn import never
 from .material_steps import evaluate_step
 from .reference import Band, FilmBuffers, ReferencePass, hit_steps
 from .rest import RestBlend
@@ -68,8 +70,10 @@ class FinalDenoise:
         self._guides = self._sums = None
 
     def guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-               samples: int) -> tuple[wp.array, wp.array]:
+               samples: int, should_stop: Callable[[], bool] = never) -> tuple[wp.array, wp.array] | None:
         """Return albedo, 0..1, and normal of what each pixel shows, seen in mirrors too: vec3 [h * w] each.
+
+        None where it was told to stop.
 
         Args:
             tracer: Its bands are the picture's; lends its path states.
@@ -78,6 +82,7 @@ class FinalDenoise:
             options: Of the path tracer, without passes.
             table: Inverse distribution of the pixel filter.
             samples: How many the picture has, or frames.
+            should_stop: Polled often.
         """
         if self._sums is not None:
             return self._mean_guides()
@@ -87,7 +92,9 @@ class FinalDenoise:
             wanted *= 2
         if self._guides is None or self._guide_samples < wanted:
             guides = self._blank_guides(tracer)
-            self._find_guides(tracer, scene, frame, options, table, (0, wanted), 1.0 / wanted, guides)
+            self._find_guides(tracer, scene, frame, options, table, (0, wanted), 1.0 / wanted, guides, should_stop)
+            if should_stop():
+                return None
             self._guides, self._guide_samples, self._noiseless = guides, wanted, wanted == most
         return self._guides
 
@@ -117,17 +124,19 @@ class FinalDenoise:
         return tuple(wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
 
     def _find_guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                     samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array]) -> None:
+                     samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array],
+                     should_stop: Callable[[], bool] = never) -> None:
         """Add the guides of all pixels: `samples` are the first and how many, each of which counts for `share`."""
         if self._options is None or self._options[0] is not options:
             self._options = options, without_roulette(options)
         whole = self._options[1]
         tracer.each_band(tracer.bands, lambda band: find_guides(
-            tracer, band, scene, frame, whole, table, samples, share, guides))
+            tracer, band, scene, frame, whole, table, samples, share, guides, should_stop))
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
-            traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool) -> wp.array:
-        """Return the denoised picture on the device: vec4 [h * w].
+            traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool,
+            should_stop: Callable[[], bool] = never) -> wp.array | None:
+        """Return the denoised picture on the device: vec4 [h * w]; None where it was told to stop.
 
         Args:
             library: From oidn.load.
@@ -138,6 +147,7 @@ class FinalDenoise:
             picture: vec4 [h * w], what real-time frames (and samples, if any) make; None without frames. One of the
                 two must be there.
             transparent: Whether alpha is kept.
+            should_stop: Polled often on a processor.
 
         Raises:
             BurnishError: The library failed.
@@ -154,7 +164,11 @@ class FinalDenoise:
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
             color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1],
-            clean=clean and self._sums is None and (self._noiseless or prefilter), prefilter=prefilter))
+            clean=clean and self._sums is None and (self._noiseless or prefilter), prefilter=prefilter), should_stop)
+        if not self.used:
+            # The guides may be half filtered.
+            self._guides = None if self._sums is None else self._guides
+            return None
         self._noiseless = self._noiseless or prefilter
         # A pixel that the denoiser has spoilt stays as it came.
         launch(denoise_guides.mix_pictures, count, [0, denoised, source, 1.0], [denoised], self.device)
@@ -180,12 +194,15 @@ def without_roulette(options: Options) -> Options:
 
 
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array]) -> None:
+                samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array],
+                should_stop: Callable[[], bool]) -> None:
     """Add the guides of a band's pixels, see FinalDenoise, in as few batches as there are path states for."""
     def trace(slot: Wavefront, done: int, count: int) -> None:
+        if should_stop():
+            return
         # After so many rounds no path goes on.
         slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
-                   (band.first, band.count), (done, count), MIRRORS + 1, lambda: False)
+                   (band.first, band.count), (done, count), MIRRORS + 1, should_stop)
         launch(denoise_guides.average_guides, band.count,
                [slot.paths, band.first, band.count, count, share], list(guides), tracer.device)
 

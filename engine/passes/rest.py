@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...kernels import composite_debug, rest_blend
+from ...kernels import composite_debug, rest_blend, rest_lonely
 from ...kernels.gbuffer import GBuffer
 from ..device import launch
 from .reference import FilmBuffers
@@ -99,9 +99,9 @@ class RestBlend:
                    [self._kept, self._share if band else self.weight], self.device)
             color, coarser = coarser, color
         residual = self._residual(color)
-        launch(rest_blend.split_lonely, count, [0, residual, film, self._variance, BANDS], [coarser, self._ratio],
+        launch(rest_lonely.split_lonely, count, [0, residual, film, self._variance, BANDS], [coarser, self._ratio],
                self.device)
-        launch(rest_blend.take_lonely_noise, count, [0, residual, coarser, self._ratio, f_picture], [self._kept],
+        launch(rest_lonely.take_lonely_noise, count, [0, residual, coarser, self._ratio, f_picture], [self._kept],
                self.device)
         launch(rest_blend.finish, count, [0, film, f_picture, self._kept, self.weight, int(transparent)],
                [self._picture], self.device)

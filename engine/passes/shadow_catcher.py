@@ -163,13 +163,15 @@ class ShadowCatchers:
         launch(shadow_catcher.resolve_shadow, len(shadow), [film, self._film], [shadow], self.device)
         return shadow
 
-    def denoise(self, run: Callable[..., wp.array], picture: wp.array) -> wp.array:
+    def denoise(self, run: Callable[..., wp.array | None], picture: wp.array) -> wp.array | None:
         """Return a picture without noise, alpha included, where the shadow is; `run`: as FinalDenoise.run()."""
         denoised = run(traced=None, picture=picture)
-        if self._scenes[2].transparent:
+        if denoised is not None and self._scenes[2].transparent:
             alpha = wp.empty_like(picture)
             launch(shadow_catcher.show_alpha, len(picture), [picture], [alpha], self.device)
             smooth = run(traced=None, picture=alpha)
+            if smooth is None:
+                return None
             launch(shadow_catcher.take_alpha, len(picture), [smooth], [denoised], self.device)
         return denoised
 

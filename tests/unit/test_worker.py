@@ -61,8 +61,8 @@ def make_worker():
     fakes.FakeSession.step_seconds, fakes.FakeSession.fail_in = 0.0, ""
     fakes.FakeSession.opened.clear()
 
-    def make(factory=fakes.FakeSession):
-        worker = ViewportWorker(factory, fakes.no_build, lambda device: None)
+    def make(factory=fakes.FakeSession, library=None):
+        worker = ViewportWorker(factory, fakes.no_build, lambda device: None, library)
         workers.append(worker)
         worker.start()
         return worker
@@ -185,6 +185,38 @@ def test_realtime_shows_every_early_frame(make_worker):
     assert worker.status.frame_times == {"Surfaces": 1.0, "Composite": 0.5}
     timed = [flag for _, flag in fakes.FakeSession.opened[0].steps]
     assert 1 <= sum(timed) <= 3, timed
+
+
+def test_pictures_at_rest_are_denoised(make_worker):
+    """Show frames as they are, then none that is not denoised, and the last one whenever it comes."""
+    class Traced(fakes.FakeSession):
+        """Has a path-traced sample for every frame from the eighth on."""
+
+        denoised: list[int] = []
+
+        @property
+        def traced_samples(self):
+            return max(self.samples_done - 8, 0)
+
+        def resolve_denoised(self, library, should_stop):
+            assert library == "library" and not should_stop()
+            self.denoised.append(self.samples_done)
+            time.sleep(0.02)
+            return self.samples_done
+
+    fakes.FakeSession.step_seconds = 0.005
+    worker = make_worker(Traced, "library")
+    shown = []
+    publish, worker._publish = worker._publish, lambda *arguments: (shown.append(arguments[2]), publish(*arguments))
+    worker.post_scene(SceneDelta(full=True))
+    settings = frames(samples=60).settings
+    worker.post_view(frames(settings=dataclasses.replace(
+        settings, performance=PerformanceSettings(viewport_pixel_size=1))))
+    until(lambda: worker.status.text == "Frame 60/60" and not worker.status.busy)
+    first = next(samples for samples in Traced.denoised)
+    assert 16 <= first <= 18 and Traced.denoised[-1] == 60 and len(Traced.denoised) < 12
+    assert [samples for samples in shown if samples >= first] == Traced.denoised
+    assert len([samples for samples in shown if samples < 16]) >= 8
 
 
 def test_another_debug_view_is_shown_at_rest(make_worker):

@@ -330,3 +330,22 @@ def test_file_that_is_no_library(tmp_path):
     wrong.write_bytes(b"no library")
     with pytest.raises(BurnishError, match="can't be used"):
         oidn.load(wrong)
+
+
+@pytest.mark.parametrize("polls", [0, 1, 40])
+def test_denoising_stops(library, polls):
+    """Give no picture when told to stop, in the guides or in the library, and the right one the next time."""
+    made = open_session(Integrator.REFERENCE)
+    made.step(8)
+    calls = []
+
+    def should_stop():
+        calls.append(1)
+        return len(calls) > polls
+
+    assert made.resolve_denoised(library, should_stop) is None
+    assert len(calls) < polls + 20
+    stopped = made.read_denoised(library)
+    other = open_session(Integrator.REFERENCE)
+    other.step(8)
+    np.testing.assert_allclose(stopped, other.read_denoised(library), rtol=1e-4, atol=1e-5)

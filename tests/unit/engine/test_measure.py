@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ class FakeSession:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now, self.samples_done, self.timed, self.resets = 0.0, 0, False, 0
-        self.frame_times, self.kernel_times = {"Rays": 1.0}, {"trace": 1.0}
+        self.frame_times, self.pipeline = {"Rays": 1.0}, SimpleNamespace(kernel_times={"trace": 1.0})
         self.cameras: list[CameraData] = []
         monkeypatch.setattr(measure.time, "perf_counter", lambda: self.now)
         monkeypatch.setattr(measure.wp, "synchronize_device", lambda device: None)

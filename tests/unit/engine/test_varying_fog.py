@@ -117,7 +117,7 @@ def test_rays_walk_through_what_varies_alone():
         session = drawn(fog_box(medium, background=0.3, lights=[SUN], **FLOOR), 1)
         session.timed = True
         session.step(1)
-        kernels[name] = set(session.kernel_times)
+        kernels[name] = set(session.pipeline.kernel_times)
     assert {"dim_cache_rays", "add_fog_light"} <= kernels["even"]
     assert kernels["varying"] - kernels["even"] == {"walk_cache_rays"}
     # What they have found is asked for its light once the fog knows this frame's.
