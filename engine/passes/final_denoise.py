@@ -44,7 +44,7 @@ EVEN_SAMPLES = 1000.0
 """Samples at which O and R count the same"""
 DETAIL_SAMPLES = 32
 """Samples below which R is not made: it would count for less than 3 %, and its noise with it"""
-FRAMES_SHARE = 0.4
+FRAMES_SHARE = 0.5
 """Of the picture made with real-time frames, where there are any, beside O: it errs differently from R"""
 
 

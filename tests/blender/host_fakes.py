@@ -30,6 +30,7 @@ class FakeSession:
     device_name = "fake"
     timed = False
     skipped: dict = {}
+    traced_samples = 0
     first_hits = SimpleNamespace(manifests={})
 
     @property
