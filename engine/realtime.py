@@ -203,6 +203,11 @@ class Realtime:
             return self._shown
         return self._blend.show_weight() if self._settings.debug.view else blend
 
+    @property
+    def supersampled(self) -> bool:
+        """Return whether frames have more pixels than the picture."""
+        return self._supersampling.factor > 1
+
     def samples(self) -> tuple[ReferencePass, FilmBuffers] | None:
         """Return the path-traced samples and their tracer; None before the first."""
         return (self.reference, self._film) if self._film is not None and self.reference.samples_done > 0 else None

@@ -350,19 +350,18 @@ class Session:
             should_stop: As of step(), on a processor.
 
         Raises:
-            BurnishError: The library failed.
-            OutOfDeviceMemory: What it needs beside the picture does not fit.
+            BurnishError: The library failed, or what it needs does not fit (OutOfDeviceMemory).
         """
-        traced, picture = (self._pass, self._film), None
+        traced, picture, large = (self._pass, self._film), None, False
         if self._realtime is not None:
-            traced = self._realtime.samples()
+            traced, large = self._realtime.samples(), self._realtime.supersampled
             picture = self._realtime.picture() if self._realtime.frames > 0 else None
         with device_errors("denoising"):
             # A lens blurs what the guides show.
             guides = self.guides(should_stop)
             run = partial(
                 self.denoiser.run, library, guides, self._size[2][2:], clean=self._camera.aperture_radius <= 0.0,
-                transparent=self.settings.film.transparent, should_stop=should_stop)
+                transparent=self.settings.film.transparent, should_stop=should_stop, supersampled=large)
             if guides is None or self._pass.catchers is None:
                 return None if guides is None else run(traced=traced, picture=picture)
             return self._pass.catchers.denoise(run, self.resolve())

@@ -44,8 +44,9 @@ EVEN_SAMPLES = 1000.0
 """Samples at which O and R count the same"""
 DETAIL_SAMPLES = 32
 """Samples below which R is not made: it would count for less than 3 %, and its noise with it"""
-FRAMES_SHARE = 0.5
-"""Of the picture made with real-time frames, where there are any, beside O: it errs differently from R"""
+FRAMES_SHARE = 0.4, 0.5
+"""Of the picture made with real-time frames, where there are any, beside O: it errs differently from R. The second
+where frames have twice the picture's size, and a quarter of the noise"""
 
 
 class FinalDenoise:
@@ -135,7 +136,7 @@ class FinalDenoise:
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
             traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool,
-            should_stop: Callable[[], bool] = never) -> wp.array | None:
+            should_stop: Callable[[], bool] = never, supersampled: bool = False) -> wp.array | None:
         """Return the denoised picture on the device: vec4 [h * w]; None where it was told to stop.
 
         Args:
@@ -148,6 +149,7 @@ class FinalDenoise:
                 two must be there.
             transparent: Whether alpha is kept.
             should_stop: Polled often on a processor.
+            supersampled: Whether frames have twice the picture's size.
 
         Raises:
             BurnishError: The library failed.
@@ -181,8 +183,8 @@ class FinalDenoise:
             share = EVEN_SAMPLES / (EVEN_SAMPLES + samples)
             launch(denoise_guides.mix_pictures, count, [0, denoised, detailed, share], [denoised], self.device)
         if picture is not None:
-            launch(denoise_guides.mix_pictures, count, [0, denoised, picture, 1.0 - FRAMES_SHARE], [denoised],
-                   self.device)
+            share = 1.0 - FRAMES_SHARE[int(supersampled)]
+            launch(denoise_guides.mix_pictures, count, [0, denoised, picture, share], [denoised], self.device)
         return denoised
 
 

@@ -349,3 +349,19 @@ def test_denoising_stops(library, polls):
     other = open_session(Integrator.REFERENCE)
     other.step(8)
     np.testing.assert_allclose(stopped, other.read_denoised(library), rtol=1e-4, atol=1e-5)
+
+
+def test_frames_at_rest_have_a_share(monkeypatch):
+    """Mix what is denoised with the picture at rest, more of it where frames are larger than the picture."""
+    def filtered(library, images, should_stop):
+        images.output.fill_(wp.vec4(3.0, 3.0, 3.0, 1.0))
+        return "cpu"
+
+    monkeypatch.setattr(final_denoise.oidn, "denoise", filtered)
+    made = open_session(Integrator.REALTIME, passes=("Combined",))
+    made.step(16)
+    assert made.traced_samples >= 8 and made.denoiser.used == ""
+    for factor, share in ((1, final_denoise.FRAMES_SHARE[0]), (2, final_denoise.FRAMES_SHARE[1])):
+        monkeypatch.setattr(made._realtime._supersampling, "factor", factor)
+        expected = made.read()[..., :3] * share + 3.0 * (1.0 - share)
+        np.testing.assert_allclose(made.read_denoised(None)[..., :3], expected, rtol=1e-3)
