@@ -37,6 +37,8 @@ class RestDenoiser:
         """Return whether a view's pictures are denoised from now on."""
         wanted = request.settings.sampling.viewport_denoise and real_time(request) and not request.settings.debug.view
         if self._library is None or not wanted:
+            # Another picture is shown meanwhile.
+            self._samples = 0
             return False
         samples = session.traced_samples
         if samples < self._samples:

@@ -73,11 +73,14 @@ def test_share_of_the_time(clock):
     session.traced_samples += 1
     clock.now += COST / SHARE - 0.1
     assert picture() is None and picture(last=True) == 3 and picture(last=True) is None
+    # Switched off and on again, with no more samples.
+    assert not denoiser.takes_over(request({"viewport_denoise": False}), session)
+    assert picture() == 4
     # Another view begins.
     session.traced_samples = 0
     assert not denoiser.takes_over(request(), session)
     session.traced_samples = FIRST_SAMPLES
-    assert picture() == 4
+    assert picture() == 5
 
 
 def test_what_stops_is_made_up_for(clock):
