@@ -359,12 +359,13 @@ class Session:
         with device_errors("denoising"):
             # A lens blurs what the guides show.
             guides = self.guides(should_stop)
+            if guides is None:
+                return None
             run = partial(
                 self.denoiser.run, library, guides, self._size[2][2:], clean=self._camera.aperture_radius <= 0.0,
                 transparent=self.settings.film.transparent, should_stop=should_stop, supersampled=large)
-            if guides is None or self._pass.catchers is None:
-                return None if guides is None else run(traced=traced, picture=picture)
-            return self._pass.catchers.denoise(run, self.resolve())
+            catchers = self._pass.catchers
+            return catchers.denoise(run, self.resolve()) if catchers else run(traced=traced, picture=picture)
 
     def _read_pass(self, name: str) -> np.ndarray:
         if name == SHADOW_CATCHER:

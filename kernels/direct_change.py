@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .direct_temporal import DirectHistory, albedos, has_sample, relative_albedo, standard_errors
+from .direct_temporal import DirectHistory, albedos, has_sample, relative_albedo, standard_errors, terms_of_change
 from .filter_weights import brightness, inside, pixel_plane, surface_weight
 from .gbuffer import GBuffer
 from .long_mean import unpack_mean
@@ -41,7 +41,7 @@ class LightChange:
     difference: wp.vec3
     """Samples less means"""
     terms: wp.vec4
-    """change_terms"""
+    """terms_of_change"""
     total: float
     """Of the weights"""
 
@@ -59,9 +59,9 @@ def add_pixel(sums: LightChange, compared: wp.vec4, deviation: float, level: flo
     """
     out = sums
     share = weight * compared[3]
-    change = brightness(rgb(compared))
+    terms = terms_of_change(brightness(rgb(compared)), level, deviation * deviation)
     out.difference = sums.difference + rgb(compared) * share
-    out.terms = sums.terms + wp.vec4(change, change * change, deviation * deviation, level) * share
+    out.terms = sums.terms + terms * share
     out.total = sums.total + share
     return out
 

@@ -222,10 +222,15 @@ def has_sample(diffuse: wp.vec4, specular: wp.vec4) -> bool:
 
 
 @wp.func
+def terms_of_change(change: float, level: float, variance: float) -> wp.vec4:
+    """Return what standard_errors sums up over pixels: of a change of luminance to or from `level`, the larger one."""
+    return wp.vec4(change, change * change, variance, level)
+
+
+@wp.func
 def change_terms(now: float, before: float, variance: float) -> wp.vec4:
-    """Return what standard_errors sums up over pixels, of two luminances whose difference has a variance."""
-    change = now - before
-    return wp.vec4(change, change * change, variance, wp.max(now, before))
+    """Return the same of two luminances."""
+    return terms_of_change(now - before, wp.max(now, before), variance)
 
 
 @wp.func

@@ -199,6 +199,19 @@ def closeness(a: wp.vec4, b: wp.vec4) -> float:
     return same * same * wp.exp(-BRIGHTNESS_SLOPE * wp.abs(a[3] - b[3]))
 
 
+@wp.func
+def widening(film: Film, pixel: int) -> float:
+    """Return the factor on variances that a pixel's number of samples asks for."""
+    return 1.0 + UNCERTAIN / film_samples(film, pixel)
+
+
+@wp.func
+def noise_ratio(d: wp.vec3, variance: float) -> wp.vec2:
+    """Return z of a coefficient, and its variance."""
+    square = wp.dot(d, d) / 3.0
+    return wp.vec2(square / wp.max(variance, 1.0e-6 * square + 1.0e-30), variance)
+
+
 @wp.kernel
 def split_band(
     first: int,
@@ -245,13 +258,9 @@ def split_band(
                         weights += w
                         variance += w * w * c[3]
         mean = total / weights
-        few = 1.0 + UNCERTAIN / film_samples(film, pixel)
-        variance = few * variance / (weights * weights)
+        variance = widening(film, pixel) * variance / (weights * weights)
         coarser = wp.vec4(mean[0], mean[1], mean[2], variance)
-        d = rgb(own) - mean
-        left = wp.max(own[3] * (1.0 - 2.0 * mine / weights) + variance, 0.0)
-        square = wp.dot(d, d) / 3.0
-        ratio = wp.vec2(square / wp.max(left, 1.0e-6 * square + 1.0e-30), left)
+        ratio = noise_ratio(rgb(own) - mean, wp.max(own[3] * (1.0 - 2.0 * mine / weights) + variance, 0.0))
     coarser_out[pixel] = coarser
     ratio_out[pixel] = ratio
 

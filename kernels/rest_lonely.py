@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .film import Film, film_samples, mean_square
+from .film import Film, mean_square
 from .packing import rgb
-from .rest_blend import UNCERTAIN, Residual, assumed_share, mean_ratio
+from .rest_blend import Residual, assumed_share, mean_ratio, noise_ratio, widening
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -42,7 +42,7 @@ def split_lonely(
     coarser = own
     ratio = wp.vec2(0.0, -1.0)
     if own[3] >= 0.0:
-        few = 1.0 + UNCERTAIN / film_samples(film, pixel)
+        few = widening(film, pixel)
         # Each band has widened it for few samples; once is meant.
         left = own[3] / wp.pow(few, float(bands - 1))
         kept = left / (few * wp.max(variance[pixel], 1.0e-30))
@@ -50,8 +50,7 @@ def split_lonely(
         lonely = wp.clamp((kept - LONELY_FROM) / (LONELY_TO - LONELY_FROM), 0.0, 1.0)
         lonely *= wp.clamp(LONELY_NORMAL * (1.0 - wp.dot(normal, normal)), 0.0, 1.0)
         if lonely > 0.0:
-            square = wp.dot(rgb(own), rgb(own)) / 3.0
-            ratio = wp.vec2(square / wp.max(left, 1.0e-6 * square + 1.0e-30), left)
+            ratio = noise_ratio(rgb(own), left)
             passing = rgb(own) * (1.0 - lonely)
             coarser = wp.vec4(passing[0], passing[1], passing[2], own[3])
     coarser_out[pixel] = coarser

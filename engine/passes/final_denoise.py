@@ -169,7 +169,7 @@ class FinalDenoise:
             clean=clean and self._sums is None and (self._noiseless or prefilter), prefilter=prefilter), should_stop)
         if not self.used:
             # The guides may be half filtered.
-            self._guides = None if self._sums is None else self._guides
+            self._guides = None
             return None
         self._noiseless = self._noiseless or prefilter
         # A pixel that the denoiser has spoilt stays as it came.
