@@ -16,6 +16,7 @@ from .device import device_errors
 from .emitters import EmitterTable, find_emitters
 from .environment import build_environment, no_environment
 from .geometry_store import GeometryStore, MeshRange
+from .homes import HomeTable
 from .instance_plan import InstancePlan
 from .instance_rows import filtered_groups, instance_bounds, instance_rows, moved_rows, scene_origin, write_places
 from .lamp_tables import LampTables
@@ -78,6 +79,7 @@ class DeviceScene:
         """Of all instances; where some only moved it stays the same array, see `take_moved_rows`"""
         self._moved_rows = np.zeros(0, np.int64)
         self._row_writer = RowWriter(types.Instance, device)
+        self.homes = HomeTable(device)
         self.emitting = np.zeros(0, bool)
         """By set of materials, whether any may emit light"""
         self.instances = wp.zeros(1, dtype=types.Instance, device=device)
@@ -143,6 +145,9 @@ class DeviceScene:
         if delta.instances is not None:
             relinked = not same_links(delta.instances, self.table)
             rebuild, moved = self._compare_instances(delta.instances, rebuild)
+            if rebuild:
+                self.homes.forget()
+            self.homes.note(self.rows, moved)
             self.table = delta.instances
         self.table = self.table or InstanceTable.empty()
         if rebuild:
@@ -198,6 +203,7 @@ class DeviceScene:
                 return False
             self._outgrow(self.low[moved], self.high[moved])
             self.table = table
+            self.homes.note(self.rows, moved)
             write_places(self.rows, table.transforms, self.origin, moved)
             self._row_writer.write(self.instances, self.rows, moved)
             self.structures.place(self.instances)

@@ -24,7 +24,7 @@ def fingerprint(scene: DeviceScene, motion: Motion, split: EnvironmentSplit, blu
     facts = (scene.structures.has_filtered, shines_plainly(scene.scene, scene.emitters), scene.has_hit_programs,
              scene.world_texels.ptr, scene.emitters.textured, scene.local_power, scene.radius, split.share,
              scene.material_table.lean, scene.material_table.reflectors, scene.material_table.subsurface, blurred)
-    structs = [scene.scene, motion, split]
+    structs = [scene.scene, motion, split, scene.homes.struct(scene.instances)]
     structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
     fog = scene.media and scene.media.fog
     structs += [fog_struct(fog)] if fog is not None else []

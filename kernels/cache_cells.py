@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, UNWATCHED, Vertices, cell_seed
+from .cache_rays import IDLE, UNWATCHED, Vertices, cell_seed, hit_place
 from .geometry_math import is_finite3
-from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell
+from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell, is_mover
 from .intersect import MISS
-from .packing import unpack_normal
 from .paths import Paths
-from .view import View
+from .view import MOVED_FRAMES, View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -42,6 +41,8 @@ PURGE_SHARE = wp.constant(8)
 """Frames in which all cells' ages are looked at once"""
 REBALANCE_FRAMES = wp.constant(128)
 SAMPLES_MAX = wp.constant(4096.0)
+MOVER_SAMPLES = wp.constant(16.0)
+"""Samples that cells of what has moved weigh at most while things move: it comes into other light"""
 
 # Frames after a change for which the mean of indirect light reaches back less far than this many times: what cells
 # know of each other's light is a mean of what they knew before, which converges only if the past is left behind. A
@@ -155,10 +156,9 @@ def insert_vertices(
     if not needs_cell(paths, vertices_out, slot):
         return
     view = views[0]
-    p = vertices_out.position[slot]
     vertices_out.cell[slot] = insert_cell(
-        grid_out, view, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
-        paths.direction[slot], cell_seed(slot, view.frame))
+        grid_out, view, hit_place(grid_out, paths, vertices_out, slot), paths.direction[slot],
+        cell_seed(slot, view.frame))
 
 
 @wp.kernel
@@ -257,9 +257,18 @@ def light_cap(view: View, sample_cap: float) -> float:
 
 
 @wp.func
-def history_share(view: View, sample_cap: float, age: float, samples: int) -> float:
-    """Return how many samples a cell's indirect light may weigh against so many new ones, by AGE_SHARE."""
-    return wp.min(light_cap(view, sample_cap), float(samples) * AGE_SHARE * age)
+def cell_cap(view: View, grid: HashGrid, cell: int, sample_cap: float) -> float:
+    """Return how many samples a cell's light may weigh: fewer while it moves."""
+    cap = light_cap(view, sample_cap)
+    if view.moved_age < MOVED_FRAMES and is_mover(grid, grid.keys[cell]):
+        cap = wp.min(cap, MOVER_SAMPLES)
+    return cap
+
+
+@wp.func
+def history_share(cap: float, age: float, samples: int) -> float:
+    """Return how many samples a cell's indirect light may weigh against so many new ones: `cap`, by AGE_SHARE less."""
+    return wp.min(cap, float(samples) * AGE_SHARE * age)
 
 
 @wp.func
@@ -297,7 +306,7 @@ def update_cells(
     if grid_out.keys[cell] == EMPTY:
         return
     age = float(control_out.age[0])
-    cap = light_cap(views[0], sample_cap)
+    cap = cell_cap(views[0], grid_out, cell, sample_cap)
     direct = grid_out.direct[cell]
     if age == 0.0:
         # What was lit before the edit says nothing of the light now.
@@ -316,8 +325,8 @@ def update_cells(
         else:
             indirect = aged(indirect, age)
         if bounced > 0:
-            cap = history_share(views[0], sample_cap, age, bounced)
-            indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, cap, control_out.factors[1])
+            share = history_share(cap, age, bounced)
+            indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, share, control_out.factors[1])
             grid_out.counts[2 * cell + 1] = 0
         grid_out.indirect[cell] = indirect
     if samples > 0 or bounced > 0:

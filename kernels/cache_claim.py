@@ -14,9 +14,8 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_cells import needs_cell
-from .cache_rays import Vertices, cell_seed
+from .cache_rays import Vertices, cell_seed, hit_place
 from .hash_grid import BUCKET, EMPTY, NO_CELL, HashGrid, cell_key, cell_level, find_key, first_slot, wide_key
-from .packing import unpack_normal
 from .paths import Paths
 from .view import View
 
@@ -63,11 +62,9 @@ def claim_vertices(
     if not needs_cell(paths, vertices, slot):
         return
     view = views[0]
-    p = vertices.position[slot]
-    position = wp.vec3(p[0], p[1], p[2])
-    level = cell_level(grid_out, view.camera, position, cell_seed(slot, view.frame))
-    claim_key(grid_out, cell_key(
-        grid_out, level, position, unpack_normal(vertices.geometric_normal[slot]), paths.direction[slot]))
+    place = hit_place(grid_out, paths, vertices, slot)
+    level = cell_level(grid_out, view.camera, place.position, cell_seed(slot, view.frame))
+    claim_key(grid_out, cell_key(grid_out, level, place, paths.direction[slot]))
 
 
 @wp.kernel

@@ -8,6 +8,7 @@ import warp as wp
 from .debug_colors import hash_color, heat
 from .gbuffer import GBuffer, has_surface, load_surface, view_direction
 from .hash_grid import LEVEL_LIMIT, NO_CELL, HashGrid, cell_key, cell_level, find_key, first_slot, read_cell
+from .homes import CellPlace, cell_place
 from .packing import rgb
 from .view import View
 
@@ -23,13 +24,13 @@ SAMPLES_SHOWN = wp.constant(256.0)
 
 
 @wp.func
-def shown_cell(grid: HashGrid, level: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> int:
+def shown_cell(grid: HashGrid, level: int, place: CellPlace, direction: wp.vec3) -> int:
     """Return the cell at a point, of the nearest level that has one, or NO_CELL."""
-    cell = find_key(grid, cell_key(grid, level, position, normal, direction))
+    cell = find_key(grid, cell_key(grid, level, place, direction))
     if cell == NO_CELL:
-        cell = find_key(grid, cell_key(grid, level + 1, position, normal, direction))
+        cell = find_key(grid, cell_key(grid, level + 1, place, direction))
     if cell == NO_CELL:
-        cell = find_key(grid, cell_key(grid, level - 1, position, normal, direction))
+        cell = find_key(grid, cell_key(grid, level - 1, place, direction))
     return cell
 
 
@@ -52,14 +53,15 @@ def draw_cache(
     color = wp.vec3(0.0, 0.0, 0.0)
     if has_surface(s):
         direction = -view_direction(view, s)
+        place = cell_place(grid.homes, gbuffer.hit[pixel][0], s.position, s.geometric_normal)
         level = cell_level(grid, view.camera, s.position, wp.uint32(0))
         if what == CACHE_LEVELS:
             color = hash_color(level + LEVEL_LIMIT)
         if what == CACHE_CELLS:
-            key = cell_key(grid, level, s.position, s.geometric_normal, direction)
+            key = cell_key(grid, level, place, direction)
             # The bucket is a hash of the key; the rest tells cells of one bucket apart.
             color = hash_color(first_slot(grid, key) + int(wp.uint32(wp.uint64(key) & wp.uint64(7))))
-        cell = shown_cell(grid, level, s.position, s.geometric_normal, direction)
+        cell = shown_cell(grid, level, place, direction)
         if cell != NO_CELL:
             if what == CACHE_LIGHT:
                 color = rgb(read_cell(grid, cell)) * view.exposure

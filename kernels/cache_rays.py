@@ -12,6 +12,7 @@ import warp as wp
 
 from .geometry_math import INV_PI, to_frame
 from .hash_grid import NO_CELL, HashGrid, cell_level, cell_size, coarse_key
+from .homes import CellPlace, cell_place
 from .intersect import MISS, any_hit, closest_hit, offset_origin
 from .lamp_hit import FAR
 from .packing import rgb, unpack_normal
@@ -88,6 +89,13 @@ def slot_seed(slot: int) -> wp.uint32:
 def cell_seed(slot: int, frame: int) -> wp.uint32:
     """Return the random number with which a ray's hit looks up its cell."""
     return hash_combine(hash_combine(slot_seed(slot), STREAM_CELL), wp.uint32(frame))
+
+
+@wp.func
+def hit_place(grid: HashGrid, paths: Paths, vertices: Vertices, slot: int) -> CellPlace:
+    """Return the place of a ray's hit."""
+    return cell_place(
+        grid.homes, paths.hit[slot][0], rgb(vertices.position[slot]), unpack_normal(vertices.geometric_normal[slot]))
 
 
 @wp.func
@@ -168,7 +176,8 @@ def send_bounce(
     side = unpack_normal(vertices.geometric_normal[origin])
     normal = unpack_normal(vertices.normal[origin])
     vertices.coarse[bounce] = coarse_key(
-        grid, view, position, side, paths.direction[origin], cell_seed(slot, view.frame))
+        grid, view, cell_place(grid.homes, paths.hit[origin][0], position, side), paths.direction[origin],
+        cell_seed(slot, view.frame))
     share = 1.0 - vertices.reflectance[origin][3]
     if hashed_unit(hash_combine(seed, STREAM_SIDE), index) >= share:
         side = -side

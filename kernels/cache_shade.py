@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, is_near
+from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, hit_place, is_near
 from .geometry_math import is_finite3, max_component
 from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, is_lit, known_indirect
-from .packing import rgb, unpack_normal
+from .packing import rgb
 from .paths import Paths
 from .probe_rays import ProbeRays
 from .view import View, settling_frames
@@ -74,10 +74,9 @@ def gather_bounces(
                 samples = wp.where(paths.radiance[slot][3] == UNWATCHED, 0.0, 1.0)
                 direct = (rgb(known) * known[3] + direct) / (known[3] + samples)
         if all_bounces == 1 and max_component(reflectance) > 0.0:
-            p = vertices_out.position[slot]
             light = known_indirect(
-                grid, view, cell, wp.vec3(p[0], p[1], p[2]), unpack_normal(vertices_out.geometric_normal[slot]),
-                paths.direction[slot], cell_seed(slot, view.frame))
+                grid, view, cell, hit_place(grid, paths, vertices_out, slot), paths.direction[slot],
+                cell_seed(slot, view.frame))
             source = vertices_out.source[bounce]
             if not light[3] > 0.0 and source != NO_CELL and settling_frames(view) >= SWEEP_FRAMES:
                 # One ray of a thousand meets cells so seldom met that nothing is known. Black would be lost in every
@@ -94,25 +93,23 @@ def gather_bounces(
 
 @wp.func
 def cached_light(
-    grid: HashGrid, view: View, vertices: Vertices, slot: int, direction: wp.vec3, own: wp.vec3, cone_test: int,
+    grid: HashGrid, view: View, paths: Paths, vertices: Vertices, slot: int, direction: wp.vec3, cone_test: int,
 ) -> wp.vec3:
-    """Return irradiance / pi at a probe ray's hit, filtered by the cache; `own` is the hit's own direct light.
+    """Return irradiance / pi at a probe ray's hit, filtered by the cache.
 
     It is that of the hit's own cell, not jittered as for reflections: a probe's rays hide the cells' borders, and light
     leaks less far. Hits nearer than a cell take their own direct light: a cell is too coarse to tell on which side of a
     contact the light ends, and whether a wall is in between. So do hits for which there is no cell.
     """
-    p = vertices.position[slot]
-    position = wp.vec3(p[0], p[1], p[2])
-    normal = unpack_normal(vertices.geometric_normal[slot])
+    place = hit_place(grid, paths, vertices, slot)
     seed = cell_seed(slot, view.frame)
     cell = vertices.cell[slot]
     if not is_lit(grid, cell):
-        cell = find_lit_cell(grid, view, position, normal, direction, seed)
-    direct = own
+        cell = find_lit_cell(grid, view, place, direction, seed)
+    direct = rgb(paths.radiance[slot])
     if cell != NO_CELL and not (cone_test == 1 and is_near(grid, view, vertices, slot)):
         direct = rgb(grid.direct[cell])
-    return direct + indirect_light(grid, view, cell, position, normal, direction, seed)
+    return direct + indirect_light(grid, view, cell, place, direction, seed)
 
 
 @wp.kernel
@@ -137,8 +134,7 @@ def resolve_rays(
     radiance = rgb(emission)
     reflectance = rgb(vertices.reflectance[slot])
     if wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
-        light = cached_light(
-            grid, view, vertices, slot, rays_out.direction[slot], rgb(paths.radiance[slot]), cone_test)
+        light = cached_light(grid, view, paths, vertices, slot, rays_out.direction[slot], cone_test)
         radiance = radiance + wp.cw_mul(reflectance, light)
     radiance = radiance * view.exposure
     if not is_finite3(radiance):

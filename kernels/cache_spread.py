@@ -26,13 +26,14 @@ from .cache_cells import (
     blend,
     from_fixed,
     history_share,
+    light_cap,
     scaled,
 )
-from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed
+from .cache_rays import IDLE, SWEEP_FRAMES, Vertices, cell_seed, hit_place
 from .cache_shade import bounced_light, lossy_light
 from .geometry_math import is_finite3
 from .hash_grid import BUCKET, EMPTY, NO_CELL, HashGrid, coarse_key, find_key, insert_key, wide_key
-from .packing import rgb, unpack_normal
+from .packing import rgb
 from .paths import Paths
 from .view import View, settling_frames
 
@@ -174,8 +175,7 @@ def find_beyond(
     if vertices_out.emission[slot][3] == IDLE or vertices_out.source[bounce] == NO_CELL:
         return
     vertices_out.beyond[bounce] = find_key(grid, coarse_key(
-        grid, view, rgb(vertices_out.position[slot]), unpack_normal(vertices_out.geometric_normal[slot]),
-        paths.direction[slot], cell_seed(slot, view.frame)))
+        grid, view, hit_place(grid, paths, vertices_out, slot), paths.direction[slot], cell_seed(slot, view.frame)))
 
 
 @wp.kernel
@@ -216,7 +216,7 @@ def spread_cell(view: View, control: CacheControl, sample_cap: float, grid_out: 
     if bounced > 0:
         light = blend(
             light, grid_out.sums, 6 * cell + 3, bounced,
-            history_share(view, sample_cap, float(control.age[0]), bounced), wp.vec3(1.0, 1.0, 1.0))
+            history_share(light_cap(view, sample_cap), float(control.age[0]), bounced), wp.vec3(1.0, 1.0, 1.0))
         grid_out.counts[2 * cell + 1] = 0
         for i in range(3):
             grid_out.sums[6 * cell + 3 + i] = wp.int64(0)

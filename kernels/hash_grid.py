@@ -13,6 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from .geometry_math import orthonormal_tangent
+from .homes import MOVER_BIT, CellPlace, Homes
 from .sampling import hash32, hash_combine, to_unit
 from .types import FrameData
 from .view import View, eye_position, pixel_footprint
@@ -21,7 +22,8 @@ BUCKET = wp.constant(16)
 """Slots of a bucket"""
 BASE_SIZE = wp.constant(9.765625e-4)
 """Size [m] of cells of level 0: a power of two"""
-LEVEL_LIMIT = wp.constant(60)
+# With the levels of wide cells it leaves a key's seven bits: the eighth is MOVER_BIT.
+LEVEL_LIMIT = wp.constant(59)
 
 # Lines of the screen that HashGrid.pixels counts in. A smaller picture shows the same light, whose detail asks for
 # cells of the same size, but has fewer rays, of which each cell must get enough: cells shrink with the root of the
@@ -88,6 +90,8 @@ class HashGrid:
     """1: key by the ray's direction instead of the normal's face, as published"""
     weighed: int
     """1: bounce rays bring `indirect` a share of what triangles emit, samples of lights bring `direct` the rest"""
+    homes: Homes
+    """Of what has moved"""
 
 
 @wp.func
@@ -154,35 +158,41 @@ def direction_bits(direction: wp.vec3) -> int:
 
 
 @wp.func
-def cell_key(grid: HashGrid, level: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> wp.int64:
+def cell_key(grid: HashGrid, level: int, place: CellPlace, direction: wp.vec3) -> wp.int64:
     """Return the key of a point's cell; never EMPTY.
 
     Args:
         grid: The grid.
         level: Of detail.
-        position: On the surface [m].
-        normal: Geometric, on the side that is seen.
-        direction: Of the ray that arrives; used by the published key alone.
+        place: Of the point.
+        direction: Of the ray that arrives; used by the published key alone, which knows no homes.
     """
     size = cell_size(level)
     detail = wp.uint64(level + 64)
     if grid.directions == 1:
+        position = place.position
         key = wrapped(cell_index(position[0], size), 16)
         key = (key << wp.uint64(16)) | wrapped(cell_index(position[1], size), 16)
         key = (key << wp.uint64(16)) | wrapped(cell_index(position[2], size), 16)
         key = (key << wp.uint64(7)) | detail
         key = (key << wp.uint64(7)) | wp.uint64(direction_bits(direction))
         return wp.int64(key | (wp.uint64(1) << wp.uint64(62)))
-    face = normal_face(normal)
+    face = normal_face(place.normal)
     axis = face // 2
-    p = position
+    p = place.home
     p[axis] = p[axis] / THICKNESS + wp.where(face % 2 == 1, -LIFT, LIFT) * size
     cell = wrapped(cell_index(p[0], size), 17)
     cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[1], size), 17)
     cell = (cell << wp.uint64(17)) | wrapped(cell_index(p[2], size), 17)
     cell = (cell << wp.uint64(8)) | detail
     cell = (cell << wp.uint64(3)) | wp.uint64(face)
-    return wp.int64(cell | (wp.uint64(1) << wp.uint64(62)))
+    return wp.int64((cell ^ place.mover) | (wp.uint64(1) << wp.uint64(62)))
+
+
+@wp.func
+def is_mover(grid: HashGrid, key: wp.int64) -> bool:
+    """Return whether a cell is one of something that has moved."""
+    return grid.directions == 0 and (wp.uint64(key) & MOVER_BIT) != wp.uint64(0)
 
 
 @wp.func
@@ -235,23 +245,23 @@ def insert_key(grid: HashGrid, key: wp.int64) -> int:
 
 
 @wp.func
-def jittered(position: wp.vec3, normal: wp.vec3, size: float, seed: wp.uint32) -> wp.vec3:
-    """Move a point by up to half a cell in its tangent plane, triangularly (Binder et al. 2019)."""
+def jittered(place: CellPlace, size: float, seed: wp.uint32) -> CellPlace:
+    """Move a point at home by up to half a cell in its tangent plane, triangularly (Binder et al. 2019)."""
     a = hash_combine(seed, STREAM_JITTER)
     b = hash32(a)
     c = hash32(b)
     x = to_unit(a) + to_unit(b) - 1.0
     y = to_unit(c) + to_unit(hash32(c)) - 1.0
-    t = orthonormal_tangent(normal)
-    return position + (t * x + wp.cross(normal, t) * y) * (0.5 * size)
+    t = orthonormal_tangent(place.normal)
+    aside = place
+    aside.home = place.home + (t * x + wp.cross(place.normal, t) * y) * (0.5 * size)
+    return aside
 
 
 @wp.func
-def insert_cell(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> int:
+def insert_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> int:
     """Return the cell of a point, made if need be; NO_CELL where its bucket is full. Atomic: no bands."""
-    cell = insert_key(grid, cell_key(grid, cell_level(grid, view.camera, position, seed), position, normal, direction))
+    cell = insert_key(grid, cell_key(grid, cell_level(grid, view.camera, place.position, seed), place, direction))
     if cell != NO_CELL:
         # Cells of one launch all write the same frame.
         grid.touched[cell] = view.frame
@@ -267,16 +277,13 @@ def is_lit(grid: HashGrid, cell: int) -> bool:
 
 
 @wp.func
-def find_lit_cell(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> int:
+def find_lit_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> int:
     """Return a cell with samples at about a point: the one half a cell aside, else its own, else of the next levels.
 
     Jitter in the surface's plane hides the borders of cells; NO_CELL where no cell knows anything.
     """
-    level = cell_level(grid, view.camera, position, seed)
-    aside = jittered(position, normal, cell_size(level), seed)
-    cell = find_key(grid, cell_key(grid, level, aside, normal, direction))
+    level = cell_level(grid, view.camera, place.position, seed)
+    cell = find_key(grid, cell_key(grid, level, jittered(place, cell_size(level), seed), direction))
     step = int(0)
     while step < 3:
         if is_lit(grid, cell):
@@ -286,7 +293,7 @@ def find_lit_cell(
             other = level + 1
         if step == 2:
             other = level - 1
-        cell = find_key(grid, cell_key(grid, other, position, normal, direction))
+        cell = find_key(grid, cell_key(grid, other, place, direction))
         step = step + 1
     if not is_lit(grid, cell):
         cell = NO_CELL
@@ -294,12 +301,10 @@ def find_lit_cell(
 
 
 @wp.func
-def coarse_key(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> wp.int64:
+def coarse_key(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> wp.int64:
     """Return the key of the coarse cell about a point; such cells hold indirect light alone."""
-    level = cell_level(grid, view.camera, position, seed) + COARSE_LEVELS
-    return cell_key(grid, level, position, normal, direction)
+    level = cell_level(grid, view.camera, place.position, seed) + COARSE_LEVELS
+    return cell_key(grid, level, place, direction)
 
 
 @wp.func
@@ -324,7 +329,7 @@ def wide_key(grid: HashGrid, coarse: wp.int64) -> wp.int64:
 
 @wp.func
 def known_indirect(
-    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+    grid: HashGrid, view: View, cell: int, place: CellPlace, direction: wp.vec3, seed: wp.uint32,
 ) -> wp.vec4:
     """Return the indirect light of a point's cell (irradiance / pi), else of the coarse one, else of the wide one.
 
@@ -334,7 +339,7 @@ def known_indirect(
     if cell != NO_CELL:
         light = grid.indirect[cell]
     if not light[3] > 0.0:
-        key = coarse_key(grid, view, position, normal, direction, seed)
+        key = coarse_key(grid, view, place, direction, seed)
         coarse = find_key(grid, key)
         if coarse != NO_CELL:
             light = grid.indirect[coarse]
@@ -347,10 +352,10 @@ def known_indirect(
 
 @wp.func
 def indirect_light(
-    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
+    grid: HashGrid, view: View, cell: int, place: CellPlace, direction: wp.vec3, seed: wp.uint32,
 ) -> wp.vec3:
     """Return the light of known_indirect, black where nothing is known."""
-    light = known_indirect(grid, view, cell, position, normal, direction, seed)
+    light = known_indirect(grid, view, cell, place, direction, seed)
     return wp.vec3(light[0], light[1], light[2])
 
 

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import Vertices, cell_seed
+from .cache_rays import Vertices, cell_seed, hit_place
 from .channel_walk import place_about, profile_radius
 from .gather_start import PDF_MIN
 from .gbuffer import GBuffer, load_surface
 from .gbuffer_store import closure_number, stored_point
 from .geometry_math import INV_PI, TWO_PI, max_component, mean_component, to_frame
 from .hash_grid import HashGrid, cell_key, cell_level, coarse_key, find_key
+from .homes import CellPlace
 from .intersect import surface_point
 from .layering import unit_normal
 from .nodes import run
 from .normals import valid_specular_normal
-from .packing import rgb, unpack_normal
+from .packing import unpack_normal
 from .paths import Paths, load_hit
 from .reflection_rays import (
     DIMENSION_DIRECTION,
@@ -183,14 +184,12 @@ def enter_surfaces(
 
 
 @wp.func
-def knows_indirect(
-    grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-) -> bool:
+def knows_indirect(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> bool:
     """Return whether the cache knows the indirect light of a place from near by."""
-    level = cell_level(grid, view.camera, position, seed)
-    known = indirect_of(grid, find_key(grid, cell_key(grid, level, position, normal, direction)))
+    level = cell_level(grid, view.camera, place.position, seed)
+    known = indirect_of(grid, find_key(grid, cell_key(grid, level, place, direction)))
     if known[3] < KNOWN_SAMPLES:
-        known = indirect_of(grid, find_key(grid, coarse_key(grid, view, position, normal, direction, seed)))
+        known = indirect_of(grid, find_key(grid, coarse_key(grid, view, place, direction, seed)))
     return known[3] >= KNOWN_SAMPLES
 
 
@@ -214,9 +213,9 @@ def go_on_outside(
     if rays_out.found[slot] != FOUND_EXIT:
         return
     view = views[0]
-    position = rgb(vertices_out.position[slot])
     side = unpack_normal(vertices_out.geometric_normal[slot])
-    if knows_indirect(grid, view, position, side, paths_out.direction[slot], cell_seed(slot, view.frame)):
+    place = hit_place(grid, paths_out, vertices_out, slot)
+    if knows_indirect(grid, view, place, paths_out.direction[slot], cell_seed(slot, view.frame)):
         return
     seed = paths_out.seed[slot]
     index = paths_out.index[slot]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import Vertices, cell_seed
+from .cache_rays import Vertices, cell_seed, hit_place
 from .geometry_math import PI, is_finite3, max_component, mean_component
 from .hash_grid import (
     COARSE_LEVELS,
@@ -23,8 +23,9 @@ from .hash_grid import (
     known_indirect,
     wide_key,
 )
+from .homes import CellPlace
 from .packed_halves import pack_halves
-from .packing import HALF_MAX, rgb, rgba, unpack_normal
+from .packing import HALF_MAX, rgb, rgba
 from .paths import Paths
 from .reflection_rays import FOUND_CELL, FOUND_DIRECT, FOUND_OWN, ReflectionRays, ray_count
 from .reflection_types import LOBE_REFLECTION, PLACE_STEADY, ReflectionOptions, ReflectionSamples
@@ -57,10 +58,10 @@ def lobe_width(pdf: float, t: float) -> float:
 
 
 @wp.func
-def exact_cell(grid: HashGrid, view: View, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> int:
+def exact_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3) -> int:
     """Return the cell of a point without any chance in it, NO_CELL where it knows nothing."""
-    level = cell_level(grid, view.camera, position, wp.uint32(0))
-    cell = find_key(grid, cell_key(grid, level, position, normal, direction))
+    level = cell_level(grid, view.camera, place.position, wp.uint32(0))
+    cell = find_key(grid, cell_key(grid, level, place, direction))
     if not is_lit(grid, cell):
         cell = NO_CELL
     return cell
@@ -99,22 +100,20 @@ def steadied(light: wp.vec4, around: wp.vec4) -> wp.vec4:
 
 @wp.func
 def steady_indirect(
-    grid: HashGrid, view: View, cell: int, position: wp.vec3, normal: wp.vec3, direction: wp.vec3, seed: wp.uint32,
-    jitter: int,
+    grid: HashGrid, view: View, cell: int, place: CellPlace, direction: wp.vec3, seed: wp.uint32, jitter: int,
 ) -> wp.vec3:
     """Return the indirect light that a sharp lobe shows: that of a cell, steadied by the wider ones about it.
 
     A mirror shows each cell by itself, and cells that mirrors alone look at have few samples; probes and wide lobes
     average over many cells.
     """
-    light = known_indirect(grid, view, cell, position, normal, direction, seed)
+    light = known_indirect(grid, view, cell, place, direction, seed)
     if light[3] >= SPARK_SAMPLES:
         return rgb(light)
-    place = position
+    aside = place
     if jitter == 1:
-        size = cell_size(cell_level(grid, view.camera, position, seed) + COARSE_LEVELS)
-        place = jittered(position, normal, size, seed)
-    key = coarse_key(grid, view, place, normal, direction, seed)
+        aside = jittered(place, cell_size(cell_level(grid, view.camera, place.position, seed) + COARSE_LEVELS), seed)
+    key = coarse_key(grid, view, aside, direction, seed)
     around = indirect_of(grid, find_key(grid, key))
     if around[3] < ENOUGH_SAMPLES:
         around = steadied(around, indirect_of(grid, find_key(grid, wide_key(grid, key))))
@@ -131,11 +130,10 @@ def hit_light(
     One shadow ray is noise that sharp reflections show while the camera moves, so until it has rested for a while they
     show cells too, but not where the ray is so short that the cell would be seen beside what it lights.
     """
-    position = rgb(vertices.position[slot])
-    normal = unpack_normal(vertices.geometric_normal[slot])
+    place = hit_place(grid, paths, vertices, slot)
     direction = paths.direction[slot]
     seed = cell_seed(slot, view.frame)
-    size = cell_size(cell_level(grid, view.camera, position, seed))
+    size = cell_size(cell_level(grid, view.camera, place.position, seed))
     length = vertices.emission[slot][3]
     # A lobe narrower than a cell would show it.
     wide = lobe_width(paths.pdf[slot], length) > size
@@ -150,9 +148,9 @@ def hit_light(
     cell = int(NO_CELL)
     if (own < 1.0 and paths.t[slot] > size) or own_light == 0:
         if jitter == 1:
-            cell = find_lit_cell(grid, view, position, normal, direction, seed)
+            cell = find_lit_cell(grid, view, place, direction, seed)
         else:
-            cell = exact_cell(grid, view, position, normal, direction)
+            cell = exact_cell(grid, view, place, direction)
     direct = rgb(paths.radiance[slot])
     rays.found[slot] = FOUND_OWN
     if own_light == 0:
@@ -172,9 +170,9 @@ def hit_light(
     light = HitLight()
     light.direct = direct
     if wide or paths.pdf[slot] < SHARP_DENSITY:
-        light.indirect = indirect_light(grid, view, cell, position, normal, direction, seed)
+        light.indirect = indirect_light(grid, view, cell, place, direction, seed)
     else:
-        light.indirect = steady_indirect(grid, view, cell, position, normal, direction, seed, jitter)
+        light.indirect = steady_indirect(grid, view, cell, place, direction, seed, jitter)
     return light
 
 

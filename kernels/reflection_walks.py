@@ -20,6 +20,7 @@ from .gbuffer import GBuffer, load_surface, plane_distance
 from .gbuffer_store import stored_point
 from .geometry_math import finite_or_zero
 from .hash_grid import NO_CELL, HashGrid, find_lit_cell, read_cell
+from .homes import cell_place
 from .intersect import surface_point
 from .light_linking import note_receiver
 from .packed_halves import pack_halves, unpack_halves
@@ -141,7 +142,8 @@ def pixel_showing(
 @wp.func
 def cell_light(grid: HashGrid, view: View, place: ShadingPoint, arriving: wp.vec3, seed: wp.uint32) -> wp.vec4:
     """Return irradiance / pi at a place as its cell has it; w = 0 where that has too few samples."""
-    cell = find_lit_cell(grid, view, place.position, place.geometric_normal, arriving, seed)
+    at = cell_place(grid.homes, place.instance, place.position, place.geometric_normal)
+    cell = find_lit_cell(grid, view, at, arriving, seed)
     if cell == NO_CELL:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     if grid.direct[cell][3] < CELL_SAMPLES or grid.indirect[cell][3] < KNOWN_SAMPLES:

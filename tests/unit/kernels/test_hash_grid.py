@@ -27,6 +27,7 @@ from burnish.kernels.hash_grid import (
     jittered,
     normal_face,
 )
+from burnish.kernels.homes import still_place
 from burnish.kernels.view import View
 
 from tests import scenes
@@ -45,7 +46,7 @@ def write_keys(
 ):
     """Write the key and the face of point i; the ray arrives against the normal."""
     i = wp.tid()
-    keys_out[i] = cell_key(grid, levels[i], positions[i], normals[i], -normals[i])
+    keys_out[i] = cell_key(grid, levels[i], still_place(positions[i], normals[i]), -normals[i])
     faces_out[i] = normal_face(normals[i])
 
 
@@ -70,7 +71,7 @@ def write_jitter(
 ):
     """Write the origin, jittered."""
     i = wp.tid()
-    points_out[i] = jittered(wp.vec3(0.0, 0.0, 0.0), normal, size, wp.uint32(i))
+    points_out[i] = jittered(still_place(wp.vec3(0.0, 0.0, 0.0), normal), size, wp.uint32(i)).home
 
 
 @wp.kernel
@@ -82,7 +83,7 @@ def insert_points(
 ):
     """Insert point i."""
     i = wp.tid()
-    cells_out[i] = insert_cell(grid_out, views[0], positions[i], normal, -normal, wp.uint32(i))
+    cells_out[i] = insert_cell(grid_out, views[0], still_place(positions[i], normal), -normal, wp.uint32(i))
 
 
 @wp.kernel
@@ -96,11 +97,12 @@ def find_points(
     i = wp.tid()
     seed = wp.uint32(i)
     level = cell_level(grid, views[0].camera, positions[i], seed)
-    cells_out[i] = find_key(grid, cell_key(grid, level, positions[i], normal, -normal))
+    place = still_place(positions[i], normal)
+    cells_out[i] = find_key(grid, cell_key(grid, level, place, -normal))
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    cell = find_lit_cell(grid, views[0], positions[i], normal, -normal, seed)
+    cell = find_lit_cell(grid, views[0], place, -normal, seed)
     if cell != NO_CELL:
-        indirect = indirect_light(grid, views[0], cell, positions[i], normal, -normal, seed)
+        indirect = indirect_light(grid, views[0], cell, place, -normal, seed)
         light = grid.direct[cell] + wp.vec4(indirect[0], indirect[1], indirect[2], 0.0)
     lights_out[i] = light
 
