@@ -32,6 +32,8 @@ DEVICE_CPU = 1
 """OIDN_DEVICE_TYPE_CPU"""
 FORMAT_FLOAT3 = 3
 """OIDN_FORMAT_FLOAT3"""
+QUALITY_BALANCED = 5
+"""OIDN_QUALITY_BALANCED: a smaller network. For guides it does as well, in a third of the time on a processor"""
 
 _handle, _text, _size = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t
 _Monitor = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_double)
@@ -47,6 +49,7 @@ SIGNATURES = {
     "oidnNewFilter": (_handle, [_handle, _text]),
     "oidnSetSharedFilterImage": (None, [_handle, _text, ctypes.c_void_p, ctypes.c_int, *[_size] * 5]),
     "oidnSetFilterBool": (None, [_handle, _text, ctypes.c_bool]),
+    "oidnSetFilterInt": (None, [_handle, _text, ctypes.c_int]),
     "oidnSetFilterProgressMonitorFunction": (None, [_handle, _Monitor, ctypes.c_void_p]),
     "oidnCommitFilter": (None, [_handle]),
     "oidnExecuteFilter": (None, [_handle]),
@@ -237,6 +240,8 @@ class Denoiser:
             self._filters[kind] = made_for, handle
             for switch in switches:
                 library.oidnSetFilterBool(handle, switch, True)
+            if kind != "color":
+                library.oidnSetFilterInt(handle, b"quality", QUALITY_BALANCED)
         handle = self._filters[kind][1]
         for name, image in used.items():
             stride = 4 * (4 if image.dtype == wp.vec4 else 3)
