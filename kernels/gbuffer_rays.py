@@ -161,7 +161,7 @@ def add_lamps(
     t_max = hits.t[pixel]
     if hits.hit[pixel][0] == MISS:
         t_max = FAR
-    total = lamps_along(scene.lights, VISIBLE_CAMERA, -1, 0.0, ray.origin, ray.direction, t_max)
+    total = lamps_along(scene.lights, VISIBLE_CAMERA, -1, 0.0, 0.0, ray.origin, ray.direction, t_max)
     total = wp.cw_mul(total, light_weight(hits, layers, pixel))
     total = total * view.exposure
     if is_finite3(total) and wp.length_sq(total) > 0.0:

@@ -116,7 +116,7 @@ def add_lamps_met(
                 if hit.t > 0.0 and lamp_counts(scene, visibility, bounce, paths, path):
                     weight = float(1.0)
                     if paths.pdf[path] > 0.0:
-                        chance = lamp_chance(scene, lamp, paths.origin[path], paths.side[path])
+                        chance = lamp_chance(scene.lights, lamp, paths.origin[path], paths.side[path])
                         weight = power_heuristic(paths.pdf[path], hit.pdf * chance)
                     light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
                     if is_finite3(light):

@@ -240,9 +240,8 @@ def environment_chance(scene: Scene, normal: wp.vec3) -> float:
 
 
 @wp.func
-def lamp_chance(scene: Scene, lamp: int, position: wp.vec3, normal: wp.vec3) -> float:
+def lamp_chance(lights: Lights, lamp: int, position: wp.vec3, normal: wp.vec3) -> float:
     """Return the probability with which sample_light chooses a lamp."""
-    lights = scene.lights
     total = wp.max(class_total(lights, normal), 1.0e-30)
     if lamp < lights.local_lamp_count:
         return lights.weight[0] / total * chance_by_tree(lights.tree, lamp, position, normal)

@@ -50,7 +50,7 @@ def lamp_between(scene: Scene, lamp: int, paths: Paths, path: int, start: float,
             out.radiance = hit.radiance
             out.weight = float(1.0)
             if pdf > 0.0:
-                out.weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, lamp, origin, paths.side[path]))
+                out.weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene.lights, lamp, origin, paths.side[path]))
     return out
 
 

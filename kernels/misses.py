@@ -43,7 +43,7 @@ def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
             if hit.t > before and lamp_counts(scene, visibility, bounce, paths, path):
                 weight = float(1.0)
                 if pdf > 0.0:
-                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene, i, origin, paths.side[path]))
+                    weight = power_heuristic(pdf, hit.pdf * lamp_chance(scene.lights, i, origin, paths.side[path]))
                 light = wp.cw_mul(paths.throughput[path], hit.radiance) * weight
                 add_light(paths, path, light, limit_at(options, bounce))
 

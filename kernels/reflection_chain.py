@@ -11,13 +11,13 @@ import warp as wp
 
 from .cache_materials import sane
 from .cache_rays import Vertices
-from .environment_split import EnvironmentSplit, excess_radiance, soft_radiance
 from .gbuffer import Surface, SurfaceMaterial
 from .geometry_math import INV_PI, max_component, mean_component, to_frame
-from .light_linking import emission_counts
+from .normals import valid_specular_normal
 from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflectance import BsdfAlbedo, bsdf_albedo, fit_lobe
+from .reflection_found import add_emission
 from .reflection_glass import (
     CLEAR_ALPHA,
     INSIDE_ALPHA,
@@ -29,28 +29,22 @@ from .reflection_glass import (
     sample_transmission,
     trapped_albedo,
 )
-from .reflection_highlights import BEHIND_MAX, HIGHLIGHT_ALBEDO, HIGHLIGHT_DENSITY, highlight_lobe, pack_lobe
-from .reflection_lights import emitter_ray_share, world_ray_share
+from .reflection_highlights import BEHIND_MAX, HIGHLIGHT_ALBEDO, HIGHLIGHT_DENSITY, HitLobe, highlight_lobe, pack_lobe
 from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
     DIMENSIONS,
     FOUND_DIRECT,
-    FOUND_EMITTER,
     FOUND_HIT,
     FOUND_WHOLE_HIT,
-    FOUND_WORLD,
-    GATHERED,
     REFRACTED,
     ReflectionRays,
-    clear_length,
-    comes_straight,
-    first_density,
-    gather,
     kind_through,
+    passes_samples,
     send_ray,
+    shared_with_samples,
 )
-from .reflection_types import SAMPLE_FAR
+from .reflection_shared import going_on, shared_density, shared_lobe
 from .sampling import sample_cosine, sample_pair
 from .specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Bsdf, Scene, ShadingPoint
@@ -100,44 +94,8 @@ class Branch:
     """1: the ray ends, and all lobes are taken for rough ones"""
     direct: int
     """1: where it ends it shows direct light alone, as others go on for the rest"""
-
-
-@wp.func
-def miss_light(
-    scene: Scene, split: EnvironmentSplit, radiance: wp.vec3, reflection: int, rays: ReflectionRays, paths: Paths,
-    vertices: Vertices, slot: int,
-):
-    """End a ray in the world; `radiance` is the world's there."""
-    light = wp.vec3(0.0, 0.0, 0.0)
-    if (scene.environment.visibility & paths.kind[slot]) != 0:
-        world = sane(radiance)
-        share = world_ray_share(split, first_density(reflection, paths, slot), paths.direction[slot])
-        light = soft_radiance(world, split.threshold, scene.luminance)
-        light = light + excess_radiance(world, split.threshold, scene.luminance) * share
-        if (reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE) and not comes_straight(paths, slot):
-            # Hits that such rays go on from sample the whole world, if anyone does (branch.direct).
-            light = world * wp.where(scene.lights.environment_class >= 0, 0.0, 1.0)
-    gather(vertices, slot, sane(wp.cw_mul(paths.throughput[slot], light)), SAMPLE_FAR)
-    rays.found[slot] = FOUND_WORLD
-    paths.state[slot] = ENDED
-
-
-@wp.func
-def add_emission(
-    scene: Scene, point: ShadingPoint, emission: wp.vec3, reflection: int, rays: ReflectionRays, paths: Paths,
-    vertices: Vertices, slot: int,
-):
-    """Add what a hit emits, and the way to it."""
-    light = wp.vec3(0.0, 0.0, 0.0)
-    if max_component(emission) > 0.0:
-        before = clear_length(paths, vertices, slot)
-        share = emitter_ray_share(
-            scene, first_density(reflection, paths, slot), point.instance, point.triangle,
-            paths.origin[slot] - paths.direction[slot] * before, paths.direction[slot], point.ray_length + before)
-        if emission_counts(scene, point.instance, 1, paths, slot):
-            light = sane(wp.cw_mul(paths.throughput[slot], emission) * share)
-        rays.found[slot] = FOUND_EMITTER
-    gather(vertices, slot, light, point.ray_length)
+    ends: float
+    """Chance of ending there"""
 
 
 @wp.func
@@ -205,6 +163,7 @@ def choose_branch(
         branch.direct = 0
         return branch
     branch.whole = 0
+    branch.ends = rough / total
     u = sample_pair(paths.seed[slot], paths.index[slot], DIMENSION_LOBE + DIMENSIONS * surfaces)[1] * total
     if u < mirror:
         branch.kind = BRANCH_MIRROR
@@ -222,10 +181,10 @@ def choose_branch(
 
 @wp.func
 def end_ray(
-    point: ShadingPoint, albedo: BsdfAlbedo, mirrored: wp.vec3, normal: wp.vec3, branch: Branch, rays: ReflectionRays,
-    paths: Paths, vertices: Vertices, slot: int,
+    point: ShadingPoint, albedo: BsdfAlbedo, mirrored: wp.vec3, shared: HitLobe, normal: wp.vec3, branch: Branch,
+    rays: ReflectionRays, paths: Paths, vertices: Vertices, slot: int,
 ):
-    """End a ray in a hit, for the cache to light."""
+    """End a ray in a hit, for the cache to light; `shared`: from shared_lobe."""
     # Refracted light comes from the other side like that of the translucent lobe.
     behind = sane(albedo.translucent)
     before = sane(albedo.diffuse + albedo.specular)
@@ -239,6 +198,9 @@ def end_ray(
         rays.lobe[slot] = wp.uint64(0)
         if share < BEHIND_MAX and paths.pdf[slot] > HIGHLIGHT_DENSITY:
             lobe = highlight_lobe(albedo, wp.where(branch.whole == 1, wp.vec3(0.0, 0.0, 0.0), mirrored), branch.chance)
+            if shared.mirrored == 1:
+                lobe = shared
+                lobe.albedo = shared.albedo / branch.chance
             if mean_component(wp.cw_mul(paths.throughput[slot], lobe.albedo)) > HIGHLIGHT_ALBEDO:
                 rays.lobe[slot] = pack_lobe(lobe)
     total = sane(total / branch.chance)
@@ -274,7 +236,7 @@ def follow(
 @wp.func
 def mirror_ray(
     scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, lobe: SurfaceMaterial, normal: wp.vec3, cosine: float,
-    chance: float, paths: Paths, slot: int,
+    chance: float, shared: HitLobe, rays: ReflectionRays, paths: Paths, slot: int,
 ):
     """Send a ray on over a mirror: the lobes that fit the hit's albedo."""
     m = lobe
@@ -294,6 +256,11 @@ def mirror_ray(
     weight = wp.vec3(0.0, 0.0, 0.0)
     if pdf > 0.0 and wp.dot(direction, point.geometric_normal) > 0.0:
         weight = lobes_value(m, lobes, direction) / (pdf * chance)
+    if shared.mirrored == 1:
+        valid = valid_specular_normal(point.geometric_normal, point.wo, normal)
+        rest = sane(albedo.diffuse + albedo.translucent + albedo.specular - lobe.specular)
+        odds = going_on(shared.albedo, rest, paths.throughput[slot])
+        rays.shared[slot] = odds * shared_density(shared.roughness, valid, point.wo, direction)
     follow(scene, point, direction, weight, pdf, VISIBLE_GLOSSY, paths, slot)
 
 
@@ -358,9 +325,16 @@ def meet_surface(
     smooth = bsdf.pick_glass > 0.0 and bsdf.glass_alpha <= INSIDE_ALPHA
     ends = wp.where((last == LAST_OUTSIDE or last == LAST_LEAVES) and smooth, 0, last)
     branch = choose_branch(albedo, lobe.specular, reflection, ends, paths, slot, surfaces)
+    shared = HitLobe()
+    before = float(0.0)
+    if rays.glossy == 1:
+        before = shared_with_samples(rays, paths, slot)
+        rays.shared[slot] = 0.0
+        if branch.whole == 0:
+            shared = shared_lobe(albedo, lobe.specular, paths.throughput[slot], paths.pdf[slot], branch.ends)
     if branch.kind == BRANCH_MIRROR:
         cosine = wp.dot(bsdf.specular_normal, point.wo)
-        mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, paths, slot)
+        mirror_ray(scene, point, albedo, lobe, bsdf.normal, cosine, branch.chance, shared, rays, paths, slot)
     elif branch.kind == BRANCH_GLASS:
         seed = paths.seed[slot]
         index = paths.index[slot]
@@ -383,13 +357,15 @@ def meet_surface(
             branch.direct = 1
             left = BsdfAlbedo()
             left.transmitted = albedo.transmitted
-            end_ray(point, left, wp.vec3(0.0, 0.0, 0.0), bsdf.normal, branch, rays, paths, vertices, slot)
+            end_ray(point, left, wp.vec3(0.0, 0.0, 0.0), HitLobe(), bsdf.normal, branch, rays, paths, vertices, slot)
         else:
             kind = kind_through(scene, point, s.wi, s.kind, paths, slot)
+            if before > 0.0 and passes_samples(scene, point, s.wi, s.kind):
+                rays.shared[slot] = before
             follow(scene, point, s.wi, s.weight / branch.chance, s.pdf, kind, paths, slot)
     elif branch.kind == BRANCH_SCATTER:
-        before = sane(albedo.diffuse + albedo.specular - lobe.specular)
-        scattered_ray(scene, point, albedo, before, bsdf.normal, branch.chance, paths, slot)
+        reflected = sane(albedo.diffuse + albedo.specular - lobe.specular)
+        scattered_ray(scene, point, albedo, reflected, bsdf.normal, branch.chance, paths, slot)
     else:
         if inside:
             albedo = as_cached(bsdf, albedo, point.wo)
@@ -397,4 +373,4 @@ def meet_surface(
             albedo.coat = 0.0
         if last == LAST_CAUGHT and inside and smooth:
             albedo.transmitted = wp.vec3(0.0, 0.0, 0.0)
-        end_ray(point, albedo, lobe.specular, bsdf.normal, branch, rays, paths, vertices, slot)
+        end_ray(point, albedo, lobe.specular, shared, bsdf.normal, branch, rays, paths, vertices, slot)

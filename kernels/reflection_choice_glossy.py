@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices
-from .geometry_math import INV_PI, mean_component
+from .geometry_math import INV_PI, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point
 from .lamp_sample import LightSample
@@ -22,6 +22,7 @@ from .paths import Paths, has_hit, load_hit
 from .reflection_choice import DIMENSION_CANDIDATE, STREAM_PICK, emitted, sampled_density, send_to_light
 from .reflection_highlights import Highlight, lobe_albedo, lobe_density, make_highlight, unpack_lobe
 from .reflection_rays import FOUND_DIRECT, FOUND_SCREEN, ReflectionRays
+from .reflection_shared import going_on, shared_density
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
 from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, Scene, ShadingPoint
 
@@ -50,6 +51,10 @@ class GlossyHit:
     share: float
     """Of the lobe in the hit's reflectance; 0: it shows no highlights"""
     lobe: Highlight
+    shared: float
+    """Roughness of a lobe that shares lights with rays (reflection_shared.py), not in the hit's reflectance; 0: none"""
+    odds: float
+    """From going_on"""
 
 
 @wp.struct
@@ -72,7 +77,14 @@ def light_parts(scene: Scene, hit: GlossyHit, point: ShadingPoint, s: LightSampl
     parts.matte = density
     parts.weight = density
     parts.lobe = 0.0
-    if hit.share > 0.0:
+    if hit.shared > 0.0:
+        if (kinds & VISIBLE_GLOSSY) != 0 and wp.dot(point.geometric_normal, s.wi) > 0.0:
+            parts.lobe = lobe_density(scene.tables, hit.lobe, s.wi, s.pdf, 1)
+            if s.delta == 0:
+                parts.lobe *= power_heuristic(
+                    s.pdf, hit.odds * shared_density(hit.shared, hit.lobe.normal, hit.lobe.wo, s.wi))
+        parts.weight = density * wp.max(1.0 - hit.share, MATTE_MIN) + hit.share * parts.lobe
+    elif hit.share > 0.0:
         if (kinds & VISIBLE_GLOSSY) != 0 and wp.dot(point.geometric_normal, s.wi) > 0.0:
             parts.lobe = lobe_density(scene.tables, hit.lobe, s.wi, s.pdf, s.delta)
         whole = wp.max(wp.dot(hit.normal, s.wi), 0.0) * INV_PI
@@ -104,6 +116,9 @@ def choose_light(
     seed = paths.seed[slot]
     index = paths.index[slot]
     side = cell_side(hit.normal, hit.behind, hit.weighed)
+    if hit.shared > 0.0:
+        # Rays don't know the normal of where they have begun.
+        side = wp.vec3(0.0, 0.0, 0.0)
     chosen = LightSample()
     kept = LightParts()
     target = float(0.0)
@@ -184,10 +199,15 @@ def choose_glossy_lights(
         hit.weighed = 0
         vertices_out.cell[slot] = NO_CELL
     hit.share = 0.0
+    hit.shared = 0.0
     if word != wp.uint64(0):
         lobe = unpack_lobe(word)
         hit.lobe = make_highlight(lobe, point, hit.normal, paths_out.pdf[slot])
         hit.share = 1.0
-        if hit.lit == 1:
+        if lobe.mirrored == 1:
+            hit.shared = lobe.roughness
+            hit.odds = going_on(lobe.albedo, rgb(reflectance), paths_out.throughput[slot])
+            hit.share = mean_component(lobe.albedo) / (mean_component(lobe.albedo) + total)
+        elif hit.lit == 1:
             hit.share = wp.min(mean_component(lobe.albedo) / total, 1.0)
     choose_light(scene, world, hit, word, candidates, rays_out, paths_out, vertices_out, point, slot)

@@ -32,8 +32,10 @@ DENSITY_RATIO = wp.constant(1.0)
 # Largest ratio of a lobe's reflectance at a half vector to its mean.
 FRESNEL_MAX = wp.constant(8.0)
 
-# Steps of the two numbers in eight bits each.
+# Steps of the roughness in eight bits and of the share in seven, of which the eighth tells `mirrored`.
 STEPS = wp.constant(255.0)
+SHARE_STEPS = wp.constant(127.0)
+MIRRORED = wp.constant(wp.uint32(1 << 15))
 
 
 @wp.struct
@@ -45,6 +47,24 @@ class HitLobe:
     roughness: float
     normal_share: float
     """Its reflectance along the normal, by that and the one at grazing angles"""
+    mirrored: int
+    """1: it sends rays on, which show lights too (reflection_shared.py); the hit's reflectance is without it"""
+
+
+@wp.func
+def rounded_roughness(roughness: float) -> float:
+    """Return a roughness as unpack_lobe gives it."""
+    return wp.floor(wp.clamp(roughness, 0.0, 1.0) * STEPS + 0.5) / STEPS
+
+
+@wp.func
+def coat_lobe(albedo: wp.vec3, roughness: float) -> HitLobe:
+    """Return the lobe of a coat."""
+    lobe = HitLobe()
+    lobe.albedo = albedo
+    lobe.roughness = roughness
+    lobe.normal_share = COAT_F0 / (1.0 + COAT_F0)
+    return lobe
 
 
 @wp.func
@@ -52,8 +72,10 @@ def pack_lobe(lobe: HitLobe) -> wp.uint64:
     """Return a lobe in 64 bits, 0 for none."""
     a = pack_halves(wp.vec4(lobe.albedo[0], lobe.albedo[1], lobe.albedo[2], 0.0))
     # The share of dielectrics is small.
-    share = wp.uint32(wp.sqrt(wp.clamp(lobe.normal_share, 0.0, 1.0)) * STEPS + 0.5)
+    share = wp.uint32(wp.sqrt(wp.clamp(lobe.normal_share, 0.0, 1.0)) * SHARE_STEPS + 0.5)
     code = wp.uint32(wp.clamp(lobe.roughness, 0.0, 1.0) * STEPS + 0.5) | (share << wp.uint32(8))
+    if lobe.mirrored == 1:
+        code = code | MIRRORED
     return a | (wp.uint64(code) << wp.uint64(48))
 
 
@@ -71,8 +93,15 @@ def unpack_lobe(word: wp.uint64) -> HitLobe:
     lobe.albedo = lobe_albedo(word)
     code = wp.uint32(word >> wp.uint64(48))
     lobe.roughness = float(code & wp.uint32(255)) / STEPS
-    lobe.normal_share = sqr(float(code >> wp.uint32(8)) / STEPS)
+    lobe.normal_share = sqr(float((code >> wp.uint32(8)) & wp.uint32(127)) / SHARE_STEPS)
+    lobe.mirrored = wp.where((code & MIRRORED) != wp.uint32(0), 1, 0)
     return lobe
+
+
+@wp.func
+def is_mirrored(word: wp.uint64) -> bool:
+    """Return whether the lobe of pack_lobe is mirrored."""
+    return (wp.uint32(word >> wp.uint64(48)) & MIRRORED) != wp.uint32(0)
 
 
 @wp.func
@@ -87,9 +116,7 @@ def highlight_lobe(albedo: BsdfAlbedo, mirrored: wp.vec3, chance: float) -> HitL
     lobe.normal_share = f0 / wp.max(f0 + albedo.f90, 1.0e-6)
     coat = wp.min(wp.vec3(albedo.coat, albedo.coat, albedo.coat), left - base)
     if mean_component(coat) > mean_component(base):
-        lobe.albedo = coat / chance
-        lobe.roughness = albedo.coat_roughness
-        lobe.normal_share = COAT_F0 / (1.0 + COAT_F0)
+        lobe = coat_lobe(coat / chance, albedo.coat_roughness)
     return lobe
 
 

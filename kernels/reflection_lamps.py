@@ -13,14 +13,16 @@ from .lamp_hit import FAR
 from .light_linking import receives_at
 from .paths import ENDED, Paths
 from .reflection_lights import lamps_along
-from .reflection_rays import clear_length, first_density, gather
+from .reflection_rays import ReflectionRays, clear_length, first_density, gather, shared_with_samples
 from .types import Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
 
 @wp.func
-def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, slot: int):
+def add_lamps(
+    scene: Scene, reflection: int, rays: ReflectionRays, paths: Paths, vertices: Vertices, slot: int,
+):
     """Add the lamps along a ray's segment."""
     if paths.state[slot] == ENDED:
         return
@@ -38,8 +40,8 @@ def add_lamps(scene: Scene, reflection: int, paths: Paths, vertices: Vertices, s
     # What lies before the glass has been counted.
     while t > 0.0:
         light = light + sign * lamps_along(
-            scene.lights, paths.kind[slot], receives_at(scene, 1, paths, slot), density, origin, paths.direction[slot],
-            t)
+            scene.lights, paths.kind[slot], receives_at(scene, 1, paths, slot), density,
+            shared_with_samples(rays, paths, slot), origin, paths.direction[slot], t)
         t = wp.where(sign > 0.0, before, 0.0)
         sign = -1.0
     if max_component(light) > 0.0:
@@ -51,6 +53,7 @@ def meet_lamps(
     # In:
     scene: Scene,
     reflection: int,
+    rays: ReflectionRays,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
@@ -61,5 +64,5 @@ def meet_lamps(
     """Add the lamps along the segments of listed rays, traced already; `reflection` as of follow_full."""
     i = wp.tid()
     while i < count[0]:
-        add_lamps(scene, reflection, paths_out, vertices_out, queue[i])
+        add_lamps(scene, reflection, rays, paths_out, vertices_out, queue[i])
         i = i + stride

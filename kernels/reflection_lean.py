@@ -12,7 +12,8 @@ from .geometry_math import PI
 from .intersect import MISS
 from .node_lean import plain_bsdf, run_lean
 from .paths import ENDED, Paths, hit_point
-from .reflection_chain import meet_surface, miss_light
+from .reflection_chain import meet_surface
+from .reflection_found import miss_light
 from .reflection_rays import LEFT, ReflectionRays
 from .types import MATERIAL_PLAIN, Scene
 

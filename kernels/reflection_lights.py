@@ -20,7 +20,7 @@ import warp as wp
 
 from .environment_split import EnvironmentSplit
 from .gbuffer import SurfaceMaterial
-from .geometry_math import PI, TWO_PI, max_component, safe_sqrt, sqr
+from .geometry_math import PI, TWO_PI, max_component, power_heuristic, safe_sqrt, sqr
 from .ggx import SPECULAR_ALPHA2
 from .intersect import world_vertex
 from .lamp_sample import LightSample
@@ -28,6 +28,7 @@ from .lamp_tables import meet_lamp
 from .light_candidate import CANDIDATE_EMITTER, CANDIDATE_LAMP, Candidate, candidate_index, candidate_kind
 from .light_linking import is_lit
 from .light_tree import chance_by_tree
+from .lights import lamp_chance
 from .reflection_types import REFLECTANCE_MIN, ReflectionOptions, fading, ray_share, sampled_share
 from .solid_angle import angle_of_triangle
 from .specular_lobes import surface_alpha
@@ -207,8 +208,8 @@ def meets_node(tree: LightTree, node: int, origin: wp.vec3, inverse: wp.vec3, t_
 
 @wp.func
 def lamp_light(
-    lights: Lights, lamp: int, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3,
-    t_max: float,
+    lights: Lights, lamp: int, visibility: int, receives: int, density: float, shared: float, origin: wp.vec3,
+    direction: wp.vec3, t_max: float,
 ) -> wp.vec3:
     """Return the radiance of a lamp times the ray's share, if the ray meets it before t_max."""
     light = lights.lamps[lamp]
@@ -218,6 +219,9 @@ def lamp_light(
             share = float(1.0)
             if density > 0.0:
                 share = ray_part(density, lamp_density(lights, lamp, hit.pdf, origin))
+            elif shared > 0.0:
+                chance = lamp_chance(lights, lamp, origin, wp.vec3(0.0, 0.0, 0.0))
+                share = power_heuristic(shared, hit.pdf * chance)
             return hit.radiance * share
     return wp.vec3(0.0, 0.0, 0.0)
 
@@ -232,7 +236,8 @@ def safe_inverse(x: float) -> float:
 
 @wp.func
 def tree_light(
-    lights: Lights, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
+    lights: Lights, visibility: int, receives: int, density: float, shared: float, origin: wp.vec3, direction: wp.vec3,
+    t_max: float,
 ) -> wp.vec3:
     """Return the radiance of all local lamps that a ray meets, found through the tree (a heap, so without a stack)."""
     total = wp.vec3(0.0, 0.0, 0.0)
@@ -248,7 +253,7 @@ def tree_light(
                 entry = lights.tree.entries[node - leaves]
                 if entry >= 0 and entry < lights.local_lamp_count:
                     total = total + lamp_light(
-                        lights, entry, visibility, receives, density, origin, direction, t_max)
+                        lights, entry, visibility, receives, density, shared, origin, direction, t_max)
             # The next subtree: up while this is a second child, then to the sibling.
             while node > 1 and (node & 1) == 1:
                 node = node >> 1
@@ -258,7 +263,8 @@ def tree_light(
 
 @wp.func
 def lamps_along(
-    lights: Lights, visibility: int, receives: int, density: float, origin: wp.vec3, direction: wp.vec3, t_max: float,
+    lights: Lights, visibility: int, receives: int, density: float, shared: float, origin: wp.vec3, direction: wp.vec3,
+    t_max: float,
 ) -> wp.vec3:
     """Return the radiance of all lamps that a ray meets before its hit, each times the ray's share; they hide nothing.
 
@@ -267,6 +273,7 @@ def lamps_along(
         visibility: The kind of ray: VISIBLE_CAMERA, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION.
         receives: Instance.receives of what the ray has left; -1: all lamps count.
         density: lobes_pdf of the primary surface in this direction; 0 where the ray counts in full.
+        shared: From shared_with_samples, where `density` is 0.
         origin: Of the ray; where `density` counts, of the primary surface.
         direction: Unit length.
         t_max: Distance to the hit [m], FAR where it met none.
@@ -274,10 +281,10 @@ def lamps_along(
     total = wp.vec3(0.0, 0.0, 0.0)
     start = int(0)
     if lights.local_lamp_count > LAMPS_IN_A_ROW:
-        total = tree_light(lights, visibility, receives, density, origin, direction, t_max)
+        total = tree_light(lights, visibility, receives, density, shared, origin, direction, t_max)
         start = lights.local_lamp_count
     for i in range(start, lights.lamp_count):
-        total = total + lamp_light(lights, i, visibility, receives, density, origin, direction, t_max)
+        total = total + lamp_light(lights, i, visibility, receives, density, shared, origin, direction, t_max)
     return total
 
 

@@ -15,7 +15,8 @@ from .intersect import MISS
 from .layering import prepare_bsdf
 from .nodes import run, world_point
 from .paths import ENDED, Paths, hit_point
-from .reflection_chain import last_of, meet_surface, miss_light
+from .reflection_chain import last_of, meet_surface
+from .reflection_found import miss_light
 from .reflection_rays import DIMENSION_CLOSURE, DIMENSIONS, LEFT, ReflectionRays
 from .reflection_tail import trace_segment
 from .sampling import sample_pair
@@ -92,7 +93,7 @@ def follow_full(
         under_way = surfaces != ENDED and (left or segments > 0)
         while under_way:
             if not left:
-                trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
+                trace_segment(scene, reflection, filtered, rays_out, paths_out, vertices_out, slot)
             final = last
             if segments > 0:
                 final = last_of(surfaces, segments)

@@ -94,6 +94,8 @@ class ReflectionRays:
     """Per ray: reflection_highlights.pack_lobe of the hit in which it ended; 0: none"""
     highlight: wp.array[float]
     """Per ray: what the lobe makes of the light sample, over what matte light does"""
+    shared: wp.array[float]
+    """Per ray: density with which it has gone on [1/sr], for each ray that ends instead; 0: it shows all lights"""
 
 
 @wp.func
@@ -234,6 +236,14 @@ def first_density(reflection: int, paths: Paths, slot: int) -> float:
 
 
 @wp.func
+def shared_with_samples(rays: ReflectionRays, paths: Paths, slot: int) -> float:
+    """Return the density by which a ray shares lights with samples at the mirror that it comes from, 0 for none."""
+    if rays.glossy == 0 or paths.state[slot] <= 1:
+        return 0.0
+    return rays.shared[slot]
+
+
+@wp.func
 def comes_straight(paths: Paths, slot: int) -> bool:
     """Return whether a ray has met nothing but clear glass since the pixel's surface: light samples meet what it does.
 
@@ -252,6 +262,15 @@ def clear_length(paths: Paths, vertices: Vertices, slot: int) -> float:
 
 
 @wp.func
+def passes_samples(scene: Scene, point: ShadingPoint, direction: wp.vec3, kind: int) -> bool:
+    """Return whether light samples go through a surface, too, where a ray of a kind goes on."""
+    through = kind == VISIBLE_TRANSMISSION and wp.dot(direction, point.wo) < 0.0
+    if not through or scene.materials.clear.shape[0] == 0:
+        return False
+    return scene.materials.clear[point.material][3] != 0.0
+
+
+@wp.func
 def kind_through(
     scene: Scene, point: ShadingPoint, direction: wp.vec3, kind: int, paths: Paths, slot: int,
 ) -> int:
@@ -259,9 +278,6 @@ def kind_through(
 
     One from a lobe that light samples show alone keeps that lobe's kind beside its own.
     """
-    through = kind == VISIBLE_TRANSMISSION and wp.dot(direction, point.wo) < 0.0
-    if not through or scene.materials.clear.shape[0] == 0:
-        return kind
-    if not comes_straight(paths, slot) or scene.materials.clear[point.material][3] == 0.0:
+    if not (comes_straight(paths, slot) and passes_samples(scene, point, direction, kind)):
         return kind
     return kind | (paths.kind[slot] & VISIBLE_DIFFUSE) | CLEAR_WAY

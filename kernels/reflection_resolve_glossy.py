@@ -10,7 +10,7 @@ from .geometry_math import max_component
 from .hash_grid import HashGrid
 from .packing import rgb
 from .paths import Paths
-from .reflection_highlights import lobe_albedo
+from .reflection_highlights import is_mirrored, lobe_albedo
 from .reflection_rays import FOUND_SCREEN, ReflectionRays, ray_count
 from .reflection_resolve import hit_light, store_sample
 from .reflection_types import ReflectionOptions, ReflectionSamples
@@ -52,7 +52,10 @@ def resolve_glossy_reflections(
         reflected = wp.cw_mul(reflectance, arriving.direct + arriving.indirect)
         word = rays_out.lobe[slot]
         if word != wp.uint64(0):
-            reflected = reflected + wp.cw_mul(lobe_albedo(word), sampled - arriving.direct)
+            counted = arriving.direct
+            if is_mirrored(word):
+                counted = wp.vec3(0.0, 0.0, 0.0)
+            reflected = reflected + wp.cw_mul(lobe_albedo(word), sampled - counted)
         light = light + wp.cw_mul(paths.throughput[slot], reflected)
     elif rays_out.found[slot] == FOUND_SCREEN:
         light = light + wp.cw_mul(paths.throughput[slot], wp.cw_mul(lobe_albedo(rays_out.lobe[slot]), sampled))

@@ -30,7 +30,9 @@ TAIL_LAYERS_DECIDED = wp.constant(2)
 
 
 @wp.func
-def trace_segment(scene: Scene, reflection: int, filtered: int, paths: Paths, vertices: Vertices, slot: int):
+def trace_segment(
+    scene: Scene, reflection: int, filtered: int, rays: ReflectionRays, paths: Paths, vertices: Vertices, slot: int,
+):
     """Find what a segment meets; `filtered`: TAIL_LAYERS* where there are transparent layers."""
     store_hit(paths, slot, closest_hit(
         scene.geometry, paths.origin[slot], paths.direction[slot], paths.t[slot]))
@@ -41,7 +43,7 @@ def trace_segment(scene: Scene, reflection: int, filtered: int, paths: Paths, ve
             scene.geometry, paths.origin[slot], paths.direction[slot], load_hit(paths, slot).t))
         filter_path(scene, paths, slot)
     if scene.lights.lamp_count > 0:
-        add_lamps(scene, reflection, paths, vertices, slot)
+        add_lamps(scene, reflection, rays, paths, vertices, slot)
 
 
 @wp.kernel(cuda_max_registers=168)
@@ -89,7 +91,7 @@ def follow_tail(
             if paths_out.state[slot] == ENDED:
                 slot = int(-1)
         if slot >= 0:
-            trace_segment(scene, reflection, filtered, paths_out, vertices_out, slot)
+            trace_segment(scene, reflection, filtered, rays_out, paths_out, vertices_out, slot)
             last = last_of(paths_out.state[slot], segments)
             follow_one(scene, split, world, reflection, last, rays_out, paths_out, vertices_out, slot)
             if paths_out.state[slot] == ENDED or vertices_out.reflectance[slot][3] == LEFT:

@@ -141,7 +141,7 @@ class ReflectionPass:
         self._fill(self.vertices, BOUNCE_ARRAYS, 1)
         self._fill(self.rays, {"block": int, "found": wp.uint8}, count)
         self.rays.glossy = int(glossy)
-        self._fill(self.rays, {"lobe": wp.uint64, "highlight": float}, count if glossy else 1)
+        self._fill(self.rays, {"lobe": wp.uint64, "highlight": float, "shared": float}, count if glossy else 1)
         self.queue = make_queue(count, self.device)
         self.all = WorkList(self.queue, self.rays.rank[count - 1 : count])
         """All rays, from the first slot on"""
@@ -260,7 +260,8 @@ class ReflectionPass:
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
                 self._record_further(graph, what)
             if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
-                graph.launch_listed(reflection_lamps.meet_lamps, [scene, self.reflection], work, [paths, vertices])
+                graph.launch_listed(
+                    reflection_lamps.meet_lamps, [scene, self.reflection, rays], work, [paths, vertices])
         with graph.section(self._section("materials")):
             arguments = [self.reflection, last]
             if self._media is not None:

@@ -62,7 +62,7 @@ def trace_share(
                 share = emitter_ray_share(scene, density, hit.instance, hit.triangle, surface.position, wi, hit.t)
                 light = scene.materials.materials[face].emission * share
             light += lamps_along(
-                scene.lights, VISIBLE_GLOSSY, -1, density, surface.position, wi,
+                scene.lights, VISIBLE_GLOSSY, -1, density, 0.0, surface.position, wi,
                 wp.where(hit.instance == MISS, FAR, hit.t))
             total += wp.cw_mul(lobes_value(material, lobes, wi), light) / density
         i = i + 1

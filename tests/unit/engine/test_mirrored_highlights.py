@@ -22,9 +22,9 @@ def towards(position, target):
     return np.array(look_at(position, target, SIZE).transform).reshape(4, 4)
 
 
-def satin_floor(lights, background=0.1):
+def satin_floor(lights, background=0.1, roughness=0.6):
     """Make a satin floor before a mirror: it shows the highlight of lamps behind the camera, which sees none itself."""
-    floor = scenes.material("PRINCIPLED", color=0.6, roughness=0.6, **SHARED)
+    floor = scenes.material("PRINCIPLED", color=0.6, roughness=roughness, **SHARED)
     delta = scenes.delta(
         {"floor": scenes.quad(8.0), "wall": scenes.quad(2.0)},
         [("floor", np.eye(4), "floor"), ("wall", WALL, "mirror")], {"floor": floor, "mirror": MIRROR}, lights,
@@ -65,6 +65,22 @@ def test_a_mirror_shows_highlights(lamp):
     picture, truth = shown(satin_floor([LAMPS[lamp]]), 12, 0.9)
     brightest = 4.0
     assert abs(np.minimum(picture, brightest).mean() / np.minimum(truth, brightest).mean() - 1.0) < 0.17
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.28])
+def test_a_mirror_shows_the_sun_in_a_polished_floor(roughness):
+    """Find the highlight where few rays go on over the floor, and fewer meet the sun: about 0.3 without samples."""
+    picture, truth = shown(satin_floor([LAMPS["sun"]], roughness=roughness), 16, 0.9)
+    assert np.minimum(picture, 4.0).mean() == pytest.approx(np.minimum(truth, 4.0).mean(), rel=0.2)
+    # One ray that meets the sun would be a thousand.
+    assert picture.max() < 150.0
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.25])
+def test_a_polished_floor_shows_the_sky_once(roughness):
+    """Find no more and no less light where rays and light samples share a sky."""
+    picture, truth = shown(satin_floor([], 1.0, roughness), 16, 0.9)
+    assert picture.mean() == pytest.approx(truth.mean(), rel=0.03)
 
 
 def test_a_mirror_shows_the_dark_side_of_metal():

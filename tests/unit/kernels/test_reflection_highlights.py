@@ -66,15 +66,18 @@ def pack(albedo: wp.vec3, roughness: float, share: float, out: wp.array[float]):
     lobe.albedo = albedo
     lobe.roughness = roughness
     lobe.normal_share = share
+    lobe.mirrored = 1
     back = unpack_lobe(pack_lobe(lobe))
     for i in range(3):
         out[i] = back.albedo[i]
     out[3] = back.roughness
     out[4] = back.normal_share
+    out[5] = float(back.mirrored)
 
 
 def test_lobes_fit_eight_bytes():
     """Get a lobe back about as it was, brighter than white too: it may be over a small chance."""
-    out = wp.zeros(5, dtype=float, device="cpu")
+    out = wp.zeros(6, dtype=float, device="cpu")
     wp.launch(pack, 1, [wp.vec3(0.04, 0.5, 3.0), 0.35, 0.04], [out], device="cpu")
-    np.testing.assert_allclose(out.numpy(), (0.04, 0.5, 3.0, 0.35, 0.04), rtol=0.01)
+    np.testing.assert_allclose(out.numpy()[:4], (0.04, 0.5, 3.0, 0.35), rtol=0.01)
+    assert abs(out.numpy()[4] - 0.04) < 0.002 and out.numpy()[5] == 1.0

@@ -76,7 +76,7 @@ def ray_light(scene: Scene, split: EnvironmentSplit, r: Receiver, density: float
         material = scene.materials.instance_materials[scene.geometry.instances[hit.instance].material_offset]
         share = emitter_ray_share(scene, density, hit.instance, hit.triangle, origin, wi, hit.t)
         light = scene.materials.materials[material].emission * share
-    return light + lamps_along(scene.lights, VISIBLE_GLOSSY, -1, density, origin, wi, t)
+    return light + lamps_along(scene.lights, VISIBLE_GLOSSY, -1, density, 0.0, origin, wi, t)
 
 
 @wp.func
@@ -171,9 +171,10 @@ def compare_shares(
                     scene, density, hit.instance, hit.triangle, surface.position, s.wi, hit.t)
                 met = 1.0
         else:
-            whole = lamps_along(scene.lights, VISIBLE_GLOSSY, -1, 0.0, surface.position, s.wi, FAR)
+            whole = lamps_along(scene.lights, VISIBLE_GLOSSY, -1, 0.0, 0.0, surface.position, s.wi, FAR)
             if whole[1] > 0.0 and wp.abs(whole[1] - s.radiance[1]) < 1.0e-3 * whole[1]:
-                ray = lamps_along(scene.lights, VISIBLE_GLOSSY, -1, density, surface.position, s.wi, FAR)[1] / whole[1]
+                ray = lamps_along(
+                    scene.lights, VISIBLE_GLOSSY, -1, density, 0.0, surface.position, s.wi, FAR)[1] / whole[1]
                 met = 1.0
             if s.delta == 1 and whole[1] == 0.0:
                 met = 1.0
