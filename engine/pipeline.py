@@ -291,8 +291,8 @@ class Pipeline:
             self.cache.record_start(graph, views, phase)
             if lit:
                 self.direct.record_emitters(graph, kernels_scene, scene.local_power)
-        smallest, self.cache.grid.homes = smallest_cell(self._settings.cache, scene.radius), scene.homes.struct(
-            scene.instances)
+        smallest = smallest_cell(self._settings.cache, scene.radius)
+        self.cache.grid.homes = scene.homes.struct(scene.instances)
         cache_scene = {
             "minimum_cell": smallest, "threshold": self.split.threshold, "programs": programs,
             "filtered": filtered or passes_glass(kernels_scene),
