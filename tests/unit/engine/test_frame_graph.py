@@ -20,6 +20,7 @@ from burnish.engine.settings import CacheSettings, Integrator, PerformanceSettin
 from burnish.engine.view_data import ViewTracker
 from burnish.kernels import compaction
 from burnish.kernels.cache_rays import Vertices
+from burnish.kernels.hash_grid import HashGrid
 from burnish.kernels.paths import ENDED, Paths
 
 from tests import scenes
@@ -46,7 +47,7 @@ def addresses(values, slots=None):
     """Return the memory that arrays, structs of arrays and structs in them hold: (first byte, last).
 
     `slots`: as of a step, which touches a part of some arrays; that from 0 on has no bounce rays. States of paths have
-    arrays of one element where a pass has no use for them.
+    arrays of one element where a pass has no use for them. Of a grid's homes no frame writes anything.
     """
     found = set()
     for value in values:
@@ -57,7 +58,8 @@ def addresses(values, slots=None):
                 found.add((value.ptr + first * each, value.ptr + (first + count) * each))
         elif hasattr(value, "_cls"):
             probes = value._cls is Vertices and slots and slots[0] == 0
-            members = [getattr(value, name) for name in (VERTEX_ARRAYS if probes else value._cls.vars)]
+            names = VERTEX_ARRAYS if probes else value._cls.vars
+            members = [getattr(value, name) for name in names if value._cls is not HashGrid or name != "homes"]
             if value._cls is Paths:
                 members = [array for array in members if array is not None and len(array) > 1]
             found |= addresses(members, slots)
