@@ -257,7 +257,6 @@ class DeviceScene:
         self.textures.clear()
         self.materials, self.lights, self.report = {}, [], Report()
         self.table = self.plan = None
-        self.homes.forget()
 
     @contextlib.contextmanager
     def _timed(self, name: str) -> Iterator[None]:

@@ -19,12 +19,12 @@ class HomeTable:
     """Homes of a scene's instances. Takes no memory until something moves, and no time once all that moves has one."""
 
     def __init__(self, device: str):
-        self.device = device
         self._of = np.zeros(0, np.int32)
         self._rows = np.zeros(0, Home.numpy_dtype())
         self._homes = Homes()
+        self._homes.of = wp.zeros(0, dtype=int, device=device)
+        self._homes.rows = wp.zeros(0, dtype=Home, device=device)
         self._serial = 0
-        self._hold(np.zeros(0, np.int32))
 
     def forget(self) -> None:
         """Forget all of them: the scene has other instances."""
@@ -61,11 +61,8 @@ class HomeTable:
             room = max(ROOM, 1 << (len(self._rows) - 1).bit_length())
         values = np.zeros(room, self._rows.dtype)
         values[: len(self._rows)] = self._rows
-        for name, data, dtype in (("of", of, int), ("rows", values, Home)):
-            held = getattr(self._homes, name)
-            same = held is not None and len(held) == len(data) and len(data)
-            setattr(self._homes, name, overwrite(held, data) if same else wp.array(
-                data, dtype=dtype, device=self.device))
+        self._homes.of = overwrite(self._homes.of, of)
+        self._homes.rows = overwrite(self._homes.rows, values)
 
     def struct(self, instances: wp.array) -> Homes:
         """Return them as kernels take them, of instances that are on the device (wp.array[Instance])."""

@@ -77,20 +77,19 @@ def light_parts(scene: Scene, hit: GlossyHit, point: ShadingPoint, s: LightSampl
     parts.matte = density
     parts.weight = density
     parts.lobe = 0.0
-    if hit.shared > 0.0:
+    if hit.share > 0.0:
         if (kinds & VISIBLE_GLOSSY) != 0 and wp.dot(point.geometric_normal, s.wi) > 0.0:
-            parts.lobe = lobe_density(scene.tables, hit.lobe, s.wi, s.pdf, 1)
-            if s.delta == 0:
+            # What is shared needs no wider lobe: the heuristic keeps sparks away.
+            narrow = wp.where(hit.shared > 0.0, 1, s.delta)
+            parts.lobe = lobe_density(scene.tables, hit.lobe, s.wi, s.pdf, narrow)
+            if hit.shared > 0.0 and s.delta == 0:
                 parts.lobe *= power_heuristic(
                     s.pdf, hit.odds * shared_density(hit.shared, hit.lobe.normal, hit.lobe.wo, s.wi))
-        parts.weight = density * wp.max(1.0 - hit.share, MATTE_MIN) + hit.share * parts.lobe
-    elif hit.share > 0.0:
-        if (kinds & VISIBLE_GLOSSY) != 0 and wp.dot(point.geometric_normal, s.wi) > 0.0:
-            parts.lobe = lobe_density(scene.tables, hit.lobe, s.wi, s.pdf, s.delta)
         whole = wp.max(wp.dot(hit.normal, s.wi), 0.0) * INV_PI
         if hit.lit == 1:
-            # The rest of a weighed sample comes by rays, as matte light.
-            parts.lobe = parts.lobe - wp.max(whole - density, 0.0)
+            if hit.shared == 0.0:
+                # The rest of a weighed sample comes by rays, as matte light.
+                parts.lobe = parts.lobe - wp.max(whole - density, 0.0)
             parts.weight = density * wp.max(1.0 - hit.share, MATTE_MIN) + hit.share * wp.max(parts.lobe, 0.0)
         else:
             parts.lobe = parts.lobe - whole

@@ -34,7 +34,7 @@ ENDING_MIN = wp.constant(0.02)
 
 @wp.func
 def shared_lobe(albedo: BsdfAlbedo, mirrored: wp.vec3, throughput: wp.vec3, pdf: float, ends: float) -> HitLobe:
-    """Return the lobe whose lights are shared; an albedo of 0: rays bring all of them.
+    """Return the lobe whose lights are shared; not `mirrored`: rays bring all of them.
 
     Rays that go on and those that end ask with the same numbers.
 
@@ -46,7 +46,6 @@ def shared_lobe(albedo: BsdfAlbedo, mirrored: wp.vec3, throughput: wp.vec3, pdf:
         ends: Chance that a ray ends there.
     """
     none = HitLobe()
-    none.albedo = wp.vec3(0.0, 0.0, 0.0)
     rough = mean_component(albedo.diffuse + albedo.specular - mirrored)
     behind = mean_component(albedo.translucent)
     if ends < ENDING_MIN or pdf <= HIGHLIGHT_DENSITY or behind >= BEHIND_MAX * (behind + rough):
