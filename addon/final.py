@@ -292,7 +292,7 @@ class FinalRender:
         surfaces = shutter.read_surfaces(
             session, {aov.source for aov in self.aovs}, sampling.total, self._cancelled)
         try:
-            exposure.expose(sampling, lambda: self._camera(depsgraph, self.camera), self.denoised)
+            exposure.expose(sampling, lambda: self._camera(depsgraph, self.camera))
         finally:
             # Evaluated anew.
             self.scene = depsgraph.scene_eval

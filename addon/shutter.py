@@ -32,8 +32,6 @@ STARTS = {'START': 0.0, 'CENTER': -0.5, 'END': -1.0}
 """Where the shutter opens, in times that it is open from the frame, by motion_blur_position"""
 CURVE_PLACES = 257
 """At which the shutter's curve is read"""
-GUIDE_SAMPLES = 8
-"""Of the denoiser, at all moments together at least; one at each otherwise"""
 SURFACES = ("Depth", "Position", "Normal", "UV", "Object Index", "Material Index")
 """Passes that come with samples of the film but belong to the frame's own moment"""
 SURFACE_SAMPLES = 16
@@ -90,19 +88,18 @@ class Shutter:
         self.moments = plan_moments(
             sampling.samples, sampling.motion_steps, (sampling.seed, scene.frame_current & 0xFFFFFFFF), curve(render))
         self._camera: CameraData | None = None
-        self._pending = self._guides = 0
+        self._pending = 0
 
-    def expose(self, sampling: Sampling, camera: Callable[[], CameraData], guided: bool) -> None:
+    def expose(self, sampling: Sampling, camera: Callable[[], CameraData]) -> None:
         """Take a picture's samples, and leave scene and session at the frame, unless the user has cancelled.
 
         Args:
             sampling: Of the picture, which the session is configured for.
             camera: Returns the picture's camera as it is evaluated.
-            guided: Whether the picture will be denoised.
         """
         self._camera = camera()
         try:
-            self._expose(sampling, camera, -(-GUIDE_SAMPLES // len(self.moments)) if guided else 0)
+            self._expose(sampling, camera)
         except ExtractionCancelled:
             return
         finally:
@@ -110,7 +107,7 @@ class Shutter:
         if not sampling.cancelled():
             self._read(sampling, camera)
 
-    def _expose(self, sampling: Sampling, camera: Callable[[], CameraData], guides: int) -> None:
+    def _expose(self, sampling: Sampling, camera: Callable[[], CameraData]) -> None:
         def elapsed() -> float:
             self._flush(sampling)
             return sampling.elapsed
@@ -119,7 +116,6 @@ class Shutter:
             self._evaluate(self._opens + moment.place * self._lasts)
             self._read(sampling, camera)
             self._pending += samples
-            self._guides += guides
             if sampling.cancelled():
                 break
         self._flush(sampling)
@@ -144,9 +140,6 @@ class Shutter:
     def _flush(self, sampling: Sampling) -> None:
         """Take the samples that are due where the session is now."""
         samples, self._pending = self._pending, 0
-        guides, self._guides = self._guides, 0
-        if guides and not sampling.cancelled():
-            self.session.add_guides(guides)
         sampling.add(sampling.done + samples, sampling.cancelled)
 
 

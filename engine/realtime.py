@@ -22,8 +22,9 @@ from .device import launch
 from .device_scene import DeviceScene
 from .media import SceneMedia
 from .passes.composite import LIGHT_PASSES
+from .passes.film_buffers import FilmBuffers
 from .passes.radiance_cache import smallest_cell
-from .passes.reference import FilmBuffers, ReferencePass
+from .passes.reference import ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
 from .pixel_filter import filter_table
@@ -80,6 +81,7 @@ class Realtime:
         if denoised != self._denoised:
             self._denoised = denoised
             self._forget_samples()
+            self._film = None
         old = self._settings
         size = width, height, lines
         if same_frames(settings, old) and (size, light_passes) == (self._size, self._light_passes):
@@ -187,8 +189,8 @@ class Realtime:
         """Return the film of path-traced samples, made when it is first asked for."""
         if self._film is None:
             pixels = self._size[0] * self._size[1]
-            self._film = FilmBuffers.make(pixels, False, self.device)
-            self.reference.resize(pixels, False)
+            self._film = FilmBuffers.make(pixels, False, self.device, denoised=self._denoised)
+            self.reference.resize(pixels, False, denoised=self._denoised)
         return self._film
 
     def picture(self) -> wp.array:

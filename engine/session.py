@@ -23,10 +23,11 @@ from .frame_data import frame_row
 from .oidn import never
 from .pass_names import SHADOW_CATCHER, first_hit_channels
 from .passes.composite import LIGHT_PASSES
+from .passes.film_buffers import FilmBuffers
 from .passes.final_denoise import FinalDenoise
 from .passes.first_hits import FirstHits
 from .passes.path_light import is_light_pass
-from .passes.reference import FilmBuffers, ReferencePass
+from .passes.reference import ReferencePass
 from .passes.shadow_catcher import ShadowCatchers, shadow_pass
 from .path_options import path_options
 from .pipeline import Pipeline
@@ -149,15 +150,11 @@ class Session:
         # What is odd at each moment is odd once.
         self._scene.report.counts |= known
         self._pass.note_scene()
+        if self._film.guides is not None:
+            self._film.guides.moving = True
         self._camera = camera
         self._set_frame()
         self.first_hits.reset()
-
-    def add_guides(self, samples: int) -> None:
-        """Take so many samples of what is seen now into the denoiser's guides, in a picture of several moments."""
-        with device_errors("the path states"):
-            self.denoiser.add_guides(
-                self._pass, self._scene.scene, self._frame, self._options(False), self._filter, samples)
 
     def configure(
         self, settings: RenderSettings, camera: CameraData, width: int, height: int,
@@ -189,7 +186,9 @@ class Session:
         traced, apart = settings.sampling.integrator == Integrator.REFERENCE, SHADOW_CATCHER in passes
         light = tuple(name for name in passes if name in LIGHT_PASSES or (traced and is_light_pass(name)))
         extra = any(name in PASSES and name not in ("Combined", *light) for name in passes)
-        key = (crop[2] * crop[3], extra, settings.sampling.integrator, catchers and 1 + apart, light if traced else ())
+        denoised = DENOISED in passes
+        key = (crop[2] * crop[3], extra, settings.sampling.integrator, catchers and 1 + apart,
+               denoised and traced, light if traced else ())
         if self._film is None or key != self._key:
             change |= Change.RESIZE | Change.RESTART
         view = camera, (width, height, crop)
@@ -203,13 +202,13 @@ class Session:
         with device_errors(f"a picture of {crop[2]} x {crop[3]} pixels"):
             if change & Change.RESIZE:
                 self._film = None
-                self._film = FilmBuffers.make(key[0], extra, self.device, key[-1])
+                self._film = FilmBuffers.make(key[0], extra, self.device, key[-1], key[-2])
                 self._pass.catchers = ShadowCatchers(self.device, apart) if catchers else None
-                self._pass.resize(key[0], extra, self._film.light)
+                self._pass.resize(key[0], extra, self._film.light, key[-2])
                 self._key = key
             if settings.sampling.integrator == Integrator.REALTIME:
                 self._realtime = self._realtime or Realtime(self.device)
-                self._realtime.configure(settings, crop[2], crop[3], height, light, DENOISED in passes)
+                self._realtime.configure(settings, crop[2], crop[3], height, light, denoised)
                 if change & Change.RESTART:
                     self._realtime.note_camera()
             else:
@@ -322,18 +321,19 @@ class Session:
 
     def guides(self, should_stop: Callable[[], bool] = never) -> tuple[wp.array, wp.array] | None:
         """Return albedo, 0..1, and normal of what pixels show, as denoising uses them: vec3 [h * w] each."""
-        return self.denoiser.guides(self._tracer(), self._scene.scene, self._frame, self._options(False), self._filter,
-                                    self.samples_done, should_stop)
+        return self.denoiser.guides(
+            *self._traced(), self._scene.scene, self._frame, self._options(False), self._filter, self.samples_done,
+            should_stop)
 
-    def _tracer(self) -> ReferencePass:
-        """Return the path tracer that has states already."""
+    def _traced(self) -> tuple[ReferencePass, FilmBuffers]:
+        """Return the path tracer that has states already, and its film."""
         traced = self._realtime.samples() if self._realtime is not None else None
-        return self._pass if traced is None else traced[0]
+        return (self._pass, self._film) if traced is None else traced
 
     @property
     def traced_samples(self) -> int:
         """Return how many path-traced samples the picture has, beside real-time frames or alone."""
-        return self._tracer().samples_done
+        return self._traced()[0].samples_done
 
     def read_denoised(self, library: ctypes.CDLL) -> np.ndarray:
         """Return what resolve_denoised() does, as read() gives pictures: float32 [h, w, 4]."""
@@ -375,7 +375,7 @@ class Session:
         if first_hit_channels(name):
             with device_errors("passes of the first surfaces"):
                 return self.first_hits.read(name, self._scene, self._frame, self._filter, self.samples_done,
-                                            self._tracer(), self._options(False))
+                                            self._traced()[0], self._options(False))
         if self._realtime is not None and self._pass.samples_done < GEOMETRY_SAMPLES:
             self._trace(GEOMETRY_SAMPLES, lambda: False)
         return self._film.read_surfaces(name, self._scene.origin)

@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What guides the final denoiser: albedo and normal of the first surface that is no mirror, and the mix of pictures.
 
-Paths of the reference integrator are followed to their first hit, and on through what reflects or refracts sharply: a
-mirror's own colour would tell the denoiser nothing about what is seen in it (Open Image Denoise's documentation asks
-for the same). Nothing is lit, so that few samples are free of noise but at edges and behind veils.
+Paths of the reference integrator note them as they are shaded (path_guides.py). For a picture without such paths these
+kernels follow some to their first hit, and on through what reflects or refracts sharply. Nothing is lit, so that few
+samples are free of noise but at edges and behind veils.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import is_finite3, max_component, mean_component
+from .geometry_math import is_finite3, max_component
 from .intersect import MISS, offset_origin
 from .lamp_hit import FAR
 from .layering import prepare_bsdf
 from .light_linking import note_receiver
 from .packing import rgb
+from .path_guides import GUIDE_MIRRORS, is_sharp, tells_little, whole_albedo
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import sample_bsdf
 from .reflectance import bsdf_albedo
@@ -30,25 +31,6 @@ from .sampling import (
 from .types import HOLDOUT, Bsdf, BsdfSample, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
-
-# Perceptual roughness below which a lobe counts as a mirror.
-SHARP = wp.constant(0.15)
-
-# Share of a surface's albedo that sharp lobes must have for paths to go on.
-SHARP_SHARE = wp.constant(0.5)
-
-
-@wp.func
-def tells_little(scene: Scene, bsdf: Bsdf, wo: wp.vec3, albedo: wp.vec3) -> bool:
-    """Tell whether a surface mostly shows what it reflects or refracts."""
-    parts = bsdf_albedo(scene.tables, bsdf, wo)
-    sharp = float(0.0)
-    if parts.roughness < SHARP:
-        sharp += mean_component(parts.reflected)
-    if wp.sqrt(bsdf.glass_alpha) < SHARP:
-        sharp += mean_component(parts.transmitted)
-    return sharp > SHARP_SHARE * mean_component(albedo)
-
 
 @wp.func
 def go_on(point: ShadingPoint, sample: BsdfSample, tint: wp.vec3, paths: Paths, path: int):
@@ -74,7 +56,7 @@ def show(albedo: wp.vec3, normal: wp.vec3, paths: Paths, path: int):
 
 @wp.func
 def meet_guide(
-    scene: Scene, exposure: float, bounces: int, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int,
+    scene: Scene, exposure: float, point: ShadingPoint, bsdf: Bsdf, paths: Paths, path: int,
 ):
     """End a path at a surface, or send it on if that is a mirror. Of what shines the light is the albedo, at most 1."""
     bounce = point.ray_depth
@@ -84,14 +66,14 @@ def meet_guide(
         return
     tint = paths.throughput[path]
     parts = bsdf_albedo(scene.tables, bsdf, point.wo)
-    albedo = parts.diffuse + parts.translucent + parts.specular + parts.transmitted
-    if bounce < bounces and tells_little(scene, bsdf, point.wo, albedo):
+    albedo = whole_albedo(parts)
+    if bounce < GUIDE_MIRRORS and tells_little(bsdf, parts):
         dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE
         choice = sample_number(paths.seed[path], paths.index[path], dimension + DIMENSION_LOBE)
         u = sample_pair(paths.seed[path], paths.index[path], dimension + DIMENSION_BSDF)
         sample = sample_bsdf(bsdf, point.wo, wp.vec3(u[0], u[1], choice))
         usable = sample.pdf > 0.0 and is_finite3(sample.weight) and max_component(sample.weight) > 0.0
-        if usable and (sample.delta == 1 or sample.roughness < SHARP):
+        if usable and is_sharp(sample):
             note_receiver(scene, point.instance, paths, path)
             go_on(point, sample, tint, paths, path)
             return
@@ -122,14 +104,13 @@ def find_surfaces(
     # In:
     scene: Scene,
     exposure: float,
-    bounces: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
 ):
-    """Take in listed hits whose closures are known, see meet_guide; at most `bounces` mirrors send a path on."""
+    """Take in listed hits whose closures are known, see meet_guide."""
     i = wp.tid()
     while i < count[0]:
         path = queue[i]
@@ -137,7 +118,7 @@ def find_surfaces(
         if has_hit(paths_out, path):
             point = hit_point(scene, paths_out, path, paths_out.state[path])
             bsdf = prepare_bsdf(scene.tables, paths_out.closure[path], point)
-            meet_guide(scene, exposure, bounces, point, bsdf, paths_out, path)
+            meet_guide(scene, exposure, point, bsdf, paths_out, path)
 
 
 @wp.kernel
@@ -162,12 +143,76 @@ def average_guides(
         a = rgb(paths.radiance[path])
         n = paths.shadow_light[path]
         if is_finite3(a):
-            albedo += wp.vec3(wp.clamp(a[0], 0.0, 1.0), wp.clamp(a[1], 0.0, 1.0), wp.clamp(a[2], 0.0, 1.0))
+            albedo += shares_of_light(a)
         if is_finite3(n):
             normal += n
         sample += 1
     albedo_out[first_pixel + local] = albedo_out[first_pixel + local] + albedo * share
     normal_out[first_pixel + local] = normal_out[first_pixel + local] + normal * share
+
+
+@wp.func
+def shares_of_light(albedo: wp.vec3) -> wp.vec3:
+    """Return an albedo as the denoiser takes it, 0..1: of what shines it is the light."""
+    return wp.vec3(wp.clamp(albedo[0], 0.0, 1.0), wp.clamp(albedo[1], 0.0, 1.0), wp.clamp(albedo[2], 0.0, 1.0))
+
+
+@wp.kernel
+def begin_guides(
+    # Out:
+    paths_out: Paths,
+):
+    """Let paths that start be guides to the first that they meet."""
+    path = wp.tid()
+    paths_out.guide_albedo[path] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    paths_out.guide_normal[path] = wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.kernel
+def add_guides(
+    # In:
+    first_pixel: int,
+    pixel_count: int,
+    sample_count: int,
+    # Out:
+    paths_out: Paths,
+    albedo_out: wp.array[wp.vec4],
+    normal_out: wp.array[wp.vec3],
+):
+    """Add what each pixel's paths have shown to the sums, whose fourth number counts; they are no guides any more."""
+    local = wp.tid()
+    pixel = first_pixel + local
+    albedo = albedo_out[pixel]
+    normal = normal_out[pixel]
+    sample = int(0)
+    while sample < sample_count:
+        path = sample * pixel_count + local
+        a = rgb(paths_out.guide_albedo[path])
+        n = paths_out.guide_normal[path]
+        if is_finite3(a) and is_finite3(n):
+            a = shares_of_light(a)
+            albedo += wp.vec4(a[0], a[1], a[2], 1.0)
+            normal += n
+        paths_out.guide_albedo[path] = wp.vec4(0.0, 0.0, 0.0, -1.0)
+        sample += 1
+    albedo_out[pixel] = albedo
+    normal_out[pixel] = normal
+
+
+@wp.kernel
+def mean_guides(
+    # In:
+    albedo: wp.array[wp.vec4],
+    normal: wp.array[wp.vec3],
+    # Out:
+    albedo_out: wp.array[wp.vec3],
+    normal_out: wp.array[wp.vec3],
+):
+    """Divide the sums of add_guides by their number."""
+    pixel = wp.tid()
+    share = 1.0 / wp.max(albedo[pixel][3], 1.0)
+    albedo_out[pixel] = rgb(albedo[pixel]) * share
+    normal_out[pixel] = normal[pixel] * share
 
 
 @wp.kernel

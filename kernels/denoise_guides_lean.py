@@ -19,7 +19,6 @@ def find_lean_surfaces(
     # In:
     scene: Scene,
     exposure: float,
-    bounces: int,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
@@ -36,4 +35,4 @@ def find_lean_surfaces(
             starts = load_material_flags(scene.materials.materials, point.material)
             if (starts[3] & MATERIAL_LEAN) != 0:
                 bsdf = lean_bsdf(scene.tables, run_lean(scene, point, starts[0]), point)
-                meet_guide(scene, exposure, bounces, point, bsdf, paths_out, path)
+                meet_guide(scene, exposure, point, bsdf, paths_out, path)

@@ -22,6 +22,7 @@ from .media import (
     return_chance,
 )
 from .misses import add_world, takes_more
+from .path_guides import light_before, show_light
 from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, begin_choice, candidate_place
 from .paths import ENDED, Options, Paths, survives
 from .sampling import (
@@ -71,8 +72,10 @@ def shade_media_misses(
         if bounce != ENDED:
             hit = paths_out.hit[path]
             if hit[0] == MISS:
+                before = light_before(paths_out, path)
                 add_world(scene, options, paths_out, path, bounce)
                 paths_out.state[path] = ENDED
+                show_light(options.exposure, paths_out, path, bounce, before)
                 if bounce == 0 and options.transparent == 1:
                     r = paths_out.radiance[path]
                     left = wp.clamp(mean_component(paths_out.throughput[path]), 0.0, 1.0)

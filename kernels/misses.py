@@ -14,6 +14,7 @@ from .lamp_tables import meet_lamp
 from .light_linking import lamp_counts, met_by_rays
 from .lights import environment_chance, lamp_chance
 from .nodes import evaluate_world
+from .path_guides import light_before, show_light
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
 from .types import LIGHT_HITTABLE, MATERIAL_LEAN, MATERIAL_SUBSURFACE, Scene
 from .wide_loads import load_material_flags
@@ -108,11 +109,13 @@ def shade_misses(
         i = i + stride
         bounce = paths_out.state[path]
         if bounce != ENDED:
+            before = light_before(paths_out, path)
             if scene.lights.lamp_count > 0:
                 gather_lamps(scene, options, paths_out, path)
             hit = paths_out.hit[path]
             if hit[0] == MISS:
                 add_world(scene, options, paths_out, path, bounce)
                 paths_out.state[path] = ENDED
+                show_light(options.exposure, paths_out, path, bounce, before)
             elif takes_more(scene, options, paths_out, path, bounce):
                 queue_out[wp.atomic_add(count_out, 0, 1)] = path

@@ -25,6 +25,7 @@ from .light_linking import (
 )
 from .lights import class_total, emitter_pdf, sample_light_of
 from .node_input import deeper
+from .path_guides import leave_surface, show_surface
 from .paths import (
     LONG_PATH,
     PENDING_NONE,
@@ -302,6 +303,7 @@ def continue_path(
         # Some materials return more than they receive (two BSDFs added); unlimited paths would never converge. It is
         # not the weight that is limited: of materials that gain nothing it is above 1 as often as below.
         weight = weight / bsdf.gain
+    leave_surface(paths, path, bounce, sample)
     paths.state[path] = bounce + 1
     paths.throughput[path] = wp.cw_mul(paths.throughput[path], weight)
     paths.origin[path] = offset_origin(point.position, point.geometric_normal, point.error, sample.wi)
@@ -341,6 +343,7 @@ def begin_hit(
         add_emission(scene, options, point, bsdf.emission, paths, path)
     if may_emit(scene, point.material) and not survives(options, paths, path, bounce):
         return False
+    show_surface(scene, options.exposure, point, bsdf, paths, path)
     if options.passes == 1 and bounce == 0:
         record_first_hit(scene, frame, point, bsdf, paths, path)
     return not (options.max_bounces > 0 and bounce >= options.max_bounces)

@@ -117,6 +117,11 @@ class Paths:
     """First hit: u, v, 1, material index"""
     surface_emission: wp.array[wp.vec3]
     environment: wp.array[wp.vec3]
+    guide_albedo: wp.array[wp.vec4]
+    """What the path shows (path_guides.py), its emission added; w = bounces after which that is met, else -1. Without
+    elements where no guides are collected"""
+    guide_normal: wp.array[wp.vec3]
+    """Of the same"""
 
 
 @wp.func
@@ -253,6 +258,12 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float
 
 
 @wp.func
+def shows_what_it_meets(paths: Paths, path: int, bounce: int) -> bool:
+    """Tell whether a path is a guide to what it meets after so many bounces, as all before were off mirrors."""
+    return paths.guide_albedo.shape[0] > 0 and paths.guide_albedo[path][3] == float(bounce)
+
+
+@wp.func
 def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
     """Play Russian roulette at a hit: end the path, or let it go on with the throughput that makes up for it.
 
@@ -263,6 +274,10 @@ def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
         dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE + DIMENSION_ROULETTE
         if sample_number(paths.seed[path], paths.index[path], dimension) >= chance:
             paths.state[path] = ENDED
+            if shows_what_it_meets(paths, path, bounce):
+                # Those that go on count for the others too.
+                paths.guide_albedo[path] = wp.vec4(0.0, 0.0, 0.0, -1.0)
+                paths.guide_normal[path] = wp.vec3(0.0, 0.0, 0.0)
             return False
         paths.throughput[path] = paths.throughput[path] / chance
     return True

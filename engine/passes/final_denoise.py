@@ -16,30 +16,36 @@ import numpy as np
 import warp as wp
 
 from ...kernels import denoise_guides, denoise_guides_lean, film, path_lists
+from ...kernels.path_guides import GUIDE_MIRRORS
 from ...kernels.paths import Options
 from ...kernels.types import Scene
 from .. import oidn
 from ..device import launch
 from ..history import copy_struct
 from ..oidn import never
+from .film_buffers import FilmBuffers
 from .material_steps import evaluate_step
-from .reference import Band, FilmBuffers, ReferencePass, hit_steps
+from .reference import Band, ReferencePass, hit_steps
 from .rest import RestBlend
 from .wavefront import Step, Wavefront
 
 __all__ = ["FinalDenoise"]
 
 GUIDE_SAMPLES = 8, 64
-"""Fewest and most jittered first hits a pixel that the guides are averaged of: between, doubled with the samples of the
-picture and at most a quarter of them, beside which they take little time. With fewer than the most the guides are
-denoised themselves: their noise at edges and behind veils would be taken for texture"""
+"""Fewest and most jittered first hits a pixel that guides are averaged of where no samples have collected them.
+
+Between, doubled with the frames of the picture and at most a quarter of them, beside which they take little time. With
+fewer than the most the guides are denoised themselves: their noise at edges and behind veils would be taken for
+texture.
+"""
+CLEAN_SAMPLES = 256
+"""From which on those that samples have collected are taken for free of noise: a quarter of the samples are guides"""
 PROCESSOR_GUIDES = 1
-"""Fewest on the processor: one takes as long there as a fifth to a third of a sample of the picture. Beside few samples
-a second one is worth 1.3 % of FLIP, as much of another sample 2 to 3 %"""
+"""Fewest on the processor: one takes as long there as a fifth to a third of a sample of the picture"""
 PROCESSOR_HASTE = 3
 """Samples below which guides are not denoised on the processor: that takes as long as a sample or two, and a second
 sample beside noisy guides is worth more than a first beside clean ones"""
-MIRRORS = 4
+MIRRORS = int(GUIDE_MIRRORS)
 """Mirrors and panes of glass that guides look through, one behind the other"""
 EVEN_SAMPLES = 1000.0
 """Samples at which O and R count the same"""
@@ -61,24 +67,25 @@ class FinalDenoise:
         self._guide_samples = 0
         self._noiseless = False
         """Whether the guides are free of noise: made of most samples, or denoised"""
-        self._sums: tuple[wp.array, wp.array] | None = None
-        """Of as many guide samples at several moments, instead of `guides` at one"""
         self._options: tuple[Options, Options] | None = None
         """The path tracer's and those made of them: the same object again, for what is recorded with it"""
         self._blend = RestBlend(device)
 
     def reset(self) -> None:
         """Forget the guides: what is seen has changed."""
-        self._guides = self._sums = None
+        self._guides = None
 
-    def guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-               samples: int, should_stop: Callable[[], bool] = never) -> tuple[wp.array, wp.array] | None:
+    def guides(
+        self, tracer: ReferencePass, buffers: FilmBuffers, scene: Scene, frame: np.ndarray, options: Options,
+        table: wp.array, samples: int, should_stop: Callable[[], bool] = never,
+    ) -> tuple[wp.array, wp.array] | None:
         """Return albedo, 0..1, and normal of what each pixel shows, seen in mirrors too: vec3 [h * w] each.
 
-        None where it was told to stop.
+        Those that the path tracer's samples have collected, if they are enough. None where it was told to stop.
 
         Args:
             tracer: Its bands are the picture's; lends its path states.
+            buffers: Its film.
             scene: The device scene.
             frame: One FrameData row.
             options: Of the path tracer, without passes.
@@ -86,54 +93,28 @@ class FinalDenoise:
             samples: How many the picture has, or frames.
             should_stop: Polled often.
         """
-        if self._sums is not None:
-            return self._mean_guides()
         fewest, most = GUIDE_SAMPLES
         wanted = fewest if tracer.cuda else PROCESSOR_GUIDES
+        collected = buffers.guides
+        if collected is not None and tracer.samples_done >= (1 if collected.moving else wanted):
+            if self._guides is None or self._guide_samples != tracer.samples_done:
+                self._guides, self._guide_samples = collected.means(), tracer.samples_done
+                self._noiseless = self._guide_samples >= CLEAN_SAMPLES and not collected.moving
+            return self._guides
         while 2 * wanted <= min(samples // 4, most):
             wanted *= 2
         if self._guides is None or self._guide_samples < wanted:
-            guides = self._blank_guides(tracer)
-            self._find_guides(tracer, scene, frame, options, table, (0, wanted), 1.0 / wanted, guides, should_stop)
+            if self._options is None or self._options[0] is not options:
+                self._options = options, without_roulette(options)
+            whole = self._options[1]
+            count = sum(band.count for band in tracer.bands)
+            guides = tuple(wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
+            tracer.each_band(tracer.bands, lambda band: find_guides(
+                tracer, band, scene, frame, whole, table, wanted, guides, should_stop))
             if should_stop():
                 return None
             self._guides, self._guide_samples, self._noiseless = guides, wanted, wanted == most
         return self._guides
-
-    def add_guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                   count: int) -> None:
-        """Add `count` samples to guides that are means over moments, up to the most; the rest as of guides().
-
-        With a moving scene or camera their noise is of kinds that samples at one moment don't have: they always count
-        as noisy.
-        """
-        if self._sums is None:
-            self._sums, self._guide_samples = self._blank_guides(tracer), 0
-        count = min(count, GUIDE_SAMPLES[1] - self._guide_samples)
-        if count > 0:
-            self._find_guides(tracer, scene, frame, options, table, (self._guide_samples, count), 1.0, self._sums)
-            self._guide_samples += count
-            self._guides, self._noiseless = None, False
-
-    def _mean_guides(self) -> tuple[wp.array, wp.array]:
-        if self._guides is None:
-            self._guides = tuple(
-                wp.array(sums.numpy() / self._guide_samples, dtype=wp.vec3, device=self.device) for sums in self._sums)
-        return self._guides
-
-    def _blank_guides(self, tracer: ReferencePass) -> tuple[wp.array, wp.array]:
-        count = sum(band.count for band in tracer.bands)
-        return tuple(wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
-
-    def _find_guides(self, tracer: ReferencePass, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                     samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array],
-                     should_stop: Callable[[], bool] = never) -> None:
-        """Add the guides of all pixels: `samples` are the first and how many, each of which counts for `share`."""
-        if self._options is None or self._options[0] is not options:
-            self._options = options, without_roulette(options)
-        whole = self._options[1]
-        tracer.each_band(tracer.bands, lambda band: find_guides(
-            tracer, band, scene, frame, whole, table, samples, share, guides, should_stop))
 
     def run(self, library: ctypes.CDLL, guides: tuple[wp.array, wp.array], size: tuple[int, int], *, clean: bool,
             traced: tuple[ReferencePass, FilmBuffers] | None, picture: wp.array | None, transparent: bool,
@@ -167,7 +148,7 @@ class FinalDenoise:
         denoised = wp.clone(source)
         self.used = oidn.denoise(library, oidn.Images(
             color=source, output=denoised, albedo=albedo, normal=normal, width=size[0], height=size[1],
-            clean=clean and self._sums is None and (self._noiseless or prefilter), prefilter=prefilter), should_stop)
+            clean=clean and (self._noiseless or prefilter), prefilter=prefilter), should_stop)
         if not self.used:
             # The guides may be half filtered.
             self._guides = None
@@ -197,9 +178,8 @@ def without_roulette(options: Options) -> Options:
 
 
 def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarray, options: Options, table: wp.array,
-                samples: tuple[int, int], share: float, guides: tuple[wp.array, wp.array],
-                should_stop: Callable[[], bool]) -> None:
-    """Add the guides of a band's pixels, see FinalDenoise, in as few batches as there are path states for."""
+                samples: int, guides: tuple[wp.array, wp.array], should_stop: Callable[[], bool]) -> None:
+    """Find the guides of a band's pixels, means of `samples`, in as few batches as there are path states for."""
     def trace(slot: Wavefront, done: int, count: int) -> None:
         if should_stop():
             return
@@ -207,17 +187,17 @@ def find_guides(tracer: ReferencePass, band: Band, scene: Scene, frame: np.ndarr
         slot.trace("guides", (scene, options), lambda: guide_steps(slot, scene, options), frame, table,
                    (band.first, band.count), (done, count), MIRRORS + 1, should_stop)
         launch(denoise_guides.average_guides, band.count,
-               [slot.paths, band.first, band.count, count, share], list(guides), tracer.device)
+               [slot.paths, band.first, band.count, count, 1.0 / samples], list(guides), tracer.device)
 
-    tracer.in_batches(band, samples[0], sum(samples), trace)
+    tracer.in_batches(band, 0, samples, trace)
 
 
 def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return what follows paths to what they show."""
-    limits = [scene, options.exposure, MIRRORS]
+    shown = [scene, options.exposure]
     steps = [*hit_steps(slot, scene, options), Step(denoise_guides.show_misses, [options.exposure]),
-             Step(denoise_guides_lean.find_lean_surfaces, limits)]
+             Step(denoise_guides_lean.find_lean_surfaces, shown)]
     if not options.all_lean:
         steps += [evaluate_step(slot, scene, "more_hits"),
-                  Step(denoise_guides.find_surfaces, limits, over="more_hits")]
+                  Step(denoise_guides.find_surfaces, shown, over="more_hits")]
     return [*steps, Step(path_lists.list_living, [slot.paths.state], fills=("next",), changes=False)]

@@ -9,7 +9,7 @@ answered within a tenth of a second. A band interrupted between samples goes on 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -38,20 +38,20 @@ from ...kernels.volume_grids import Volumes
 from ..clear_glass import path_scene
 from ..device import launch, run_bands, thread_count
 from ..lean import LeanPrograms
-from ..report import Report, ReportKind
 from ..structures import is_flat
+from .film_buffers import FilmBuffers
 from .material_steps import evaluate_step, full_steps
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_catcher import ShadowCatchers
 from .shadow_steps import shadow_steps
 from .subsurface import below_step, exit_steps
-from .wavefront import Step, Wavefront
+from .wavefront import Step, Wavefront, add_guides
 
 if TYPE_CHECKING:
     from ..device_scene import DeviceScene
 
-__all__ = ["Band", "FilmBuffers", "ReferencePass", "hit_steps"]
+__all__ = ["Band", "ReferencePass", "hit_steps"]
 
 CPU_BAND_PATHS = 4096, 16384
 """Fewest and most of a band on the processor: a round has its launches whatever its size, and a cancel waits for it"""
@@ -63,95 +63,14 @@ CUDA_BATCH_PATHS = 1 << 22
 PATH_BYTES = 544
 """Of one path's states and places in lists, its closure the largest of them"""
 
+GUIDE_BYTES = 28
+"""Of what it shows, where the picture is going to be denoised"""
+
 MEMORY_SHARE = 0.25
 """Of the device's free memory that path states may take"""
 
-BACKGROUND_DEPTH = 1e10
-"""Depth where there is no surface, as Cycles writes it"""
-
 # Not a limit of the integrator: roulette ends every path long before, unless a scene keeps all light for ever.
 BOUNCE_STOP = 4096
-
-
-@dataclass
-class FilmBuffers:
-    """The film on the device and how many samples each band has."""
-
-    film: film.Film
-    picture: wp.array
-    pixel_count: int
-    passes: bool
-    light: LightFilm
-    """Sums of the passes of light; false for none"""
-    empty: bool = True
-    """Whether no sample has come in since it was made or cleared"""
-
-    @staticmethod
-    def make(pixel_count: int, passes: bool, device: str, light_passes: Iterable[str] = ()) -> FilmBuffers:
-        """Allocate a cleared film; `light_passes`: names of passes of light, as of is_light_pass."""
-        buffers = film.Film()
-        extra = pixel_count if passes else 1
-        buffers.color = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
-        buffers.color_rest = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
-        buffers.squares = wp.zeros(pixel_count, dtype=float, device=device)
-        buffers.samples = wp.zeros(pixel_count, dtype=int, device=device)
-        # Counted as floats: Warp's sum of an array takes no integers.
-        buffers.rejected = wp.zeros(pixel_count, dtype=float, device=device)
-        buffers.overruns = wp.zeros(pixel_count, dtype=float, device=device)
-        for name, dtype in (
-            ("normal", wp.vec4), ("position", wp.vec4), ("uv", wp.vec4), ("depth", float), ("emission", wp.vec3),
-            ("environment", wp.vec3),
-        ):
-            setattr(buffers, name, wp.zeros(extra, dtype=dtype, device=device))
-        picture = wp.zeros(pixel_count, dtype=wp.vec4, device=device)
-        return FilmBuffers(buffers, picture, pixel_count, passes, LightFilm(light_passes, pixel_count, device))
-
-    def clear(self) -> None:
-        """Forget all samples."""
-        if self.empty:
-            # As in every frame of a real-time picture in motion.
-            return
-        self.empty = True
-        for name in (
-            "color", "color_rest", "squares", "samples", "rejected", "overruns", "normal", "position", "uv", "depth",
-            "emission", "environment",
-        ):
-            getattr(self.film, name).zero_()
-        self.light.clear()
-
-    def oddities(self, filtered: bool) -> Report:
-        """Return a report of what the kernels counted while sampling; `filtered`: the scene has such triangles."""
-        report = Report()
-        rejected = int(wp.utils.array_sum(self.film.rejected))
-        if rejected:
-            report.add(ReportKind.ERROR, "", "samples that were not finite were left out of the picture", rejected)
-        overruns = int(wp.utils.array_sum(self.film.overruns)) if filtered else 0
-        if overruns:
-            report.add(ReportKind.APPROXIMATED, "", "rays met more than 32 transparent layers and stopped there",
-                       overruns)
-        return report
-
-    def read_surfaces(self, name: str, origin: np.ndarray) -> np.ndarray:
-        """Return a pass of the first surfaces, Emission or Environment: float32 [h * w, channels].
-
-        Args:
-            name: As of Session.read.
-            origin: float64 [3], the scene's origin, which positions are relative to.
-        """
-        counts = np.maximum(self.film.samples.numpy(), 1)[:, None]
-        uv, position = self.film.uv.numpy(), self.film.position.numpy()
-        if name == "Depth":
-            seen = position.any(1) | (uv[:, 2] > 0)
-            return np.where(seen, self.film.depth.numpy(), BACKGROUND_DEPTH)[:, None]
-        if name == "Normal":
-            return self.film.normal.numpy()[:, :3] / counts
-        if name == "UV":
-            return uv[:, :3] / counts
-        if name == "Position":
-            return np.where(uv[:, 2:3] > 0, position[:, :3] + origin.astype(np.float32), 0.0)
-        if name in ("Emission", "Environment"):
-            return getattr(self.film, name.lower()).numpy() / counts
-        return position[:, 3:4] if name == "Object Index" else uv[:, 3:4]
 
 
 @dataclass
@@ -183,13 +102,18 @@ class ReferencePass:
         self.volumes: Volumes | None = None
         """What of them varies in space"""
 
-    def resize(self, pixel_count: int, passes: bool, light: LightFilm | None = None) -> None:
-        """Cut the picture into bands and allocate path states for them, with what the passes of light need."""
+    def resize(
+        self, pixel_count: int, passes: bool, light: LightFilm | None = None, denoised: bool = False,
+    ) -> None:
+        """Cut the picture into bands and allocate path states for them, with what the passes of light need.
+
+        `denoised`: whether films will have guides.
+        """
         fewest, most = CPU_BAND_PATHS
         limit = min(max(pixel_count // (CPU_BANDS * thread_count()), fewest), most)
         if self.cuda:
             room = int(wp.get_device(self.device).free_memory * MEMORY_SHARE)
-            state = (PATH_BYTES + MEDIA_BYTES) * (1 if self.catchers is None else 2)
+            state = (PATH_BYTES + MEDIA_BYTES + (GUIDE_BYTES if denoised else 0)) * (1 if self.catchers is None else 2)
             room //= state + (light.path_bytes if light else 0)
             limit = max(min(CUDA_BATCH_PATHS, room), 1 << 16)
         count = max(1, -(-pixel_count // limit))
@@ -200,6 +124,7 @@ class ReferencePass:
         self.slots = []
         self.passes = passes
         self.light = light
+        self.denoised = denoised
         self.capacity = capacity
 
     def reset(self) -> None:
@@ -245,6 +170,8 @@ class ReferencePass:
             slot = self.slots.pop() if self.slots else None
         if slot is None:
             slot = Wavefront(self.capacity, self.passes, self.device)
+            if self.denoised:
+                add_guides(slot.paths, self.capacity, self.device)
             if self.light:
                 slot.light = self.light.make_paths(slot.paths, self.capacity)
             if self.catchers is not None:
@@ -323,6 +250,9 @@ class ReferencePass:
             return
         slot = self.take_slot()
         try:
+            guides = buffers.guides if buffers.guides is not None and buffers.guides.wants(band.samples) else None
+            if guides is not None:
+                guides.begin(slot, band.count * count)
             if options.passes == 1:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
             batch = frame, filter_table, (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop
@@ -336,6 +266,8 @@ class ReferencePass:
                 launch(
                     film.accumulate_samples, band.count,
                     [slot.paths, options, band.first, band.count, count, band.samples], [buffers.film], self.device)
+                if guides is not None:
+                    guides.add(slot, band.first, band.count, count)
                 if buffers.light:
                     if slot.media:
                         slot.media.finish_light(slot.light, options.exposure, band.first, band.count, count)

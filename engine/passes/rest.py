@@ -12,7 +12,7 @@ import warp as wp
 from ...kernels import composite_debug, rest_blend, rest_lonely
 from ...kernels.gbuffer import GBuffer
 from ..device import launch
-from .reference import FilmBuffers
+from .film_buffers import FilmBuffers
 
 __all__ = ["SETTLING", "TURN", "RestBlend"]
 

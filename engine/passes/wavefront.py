@@ -24,7 +24,7 @@ from ..device import launch, record
 from ..lean import LeanPrograms
 from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
 
-__all__ = ["Step", "Wavefront", "make_paths"]
+__all__ = ["Step", "Wavefront", "add_guides", "make_paths"]
 
 LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
          "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS,
@@ -71,7 +71,14 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
     paths.clear_way = wp.zeros(1, dtype=wp.vec4, device=device)
     for name in ("surface_emission", "environment"):
         setattr(paths, name, wp.zeros(extra, dtype=wp.vec3, device=device))
+    add_guides(paths, 0, device)
     return paths
+
+
+def add_guides(paths: Paths, count: int, device: str) -> None:
+    """Allocate what `count` paths show."""
+    paths.guide_albedo = wp.zeros(count, dtype=wp.vec4, device=device)
+    paths.guide_normal = wp.zeros(count, dtype=wp.vec3, device=device)
 
 
 class Wavefront:

@@ -51,7 +51,7 @@ class FakeSession:
         self.updates = []
         self._config = None
         self.was_timed, self.resets, self.steps = False, 0, []
-        self.moves, self.guides = [], 0
+        self.moves = []
         self.pipeline = SimpleNamespace(records=0)
         FakeSession.opened.append(self)
 
@@ -77,9 +77,6 @@ class FakeSession:
     def move(self, delta, camera):
         self.fail("move")
         self.moves.append((self.samples_done, camera))
-
-    def add_guides(self, samples):
-        self.guides += samples
 
     def step(self, samples=1, should_stop=None):
         self.fail("step")

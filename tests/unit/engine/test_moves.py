@@ -72,23 +72,24 @@ def test_a_picture_is_the_mean_over_its_moments(change):
 
 
 def test_guides_are_means_over_moments():
-    """Show the denoiser a thing at both of its places, at half its weight, however many samples there are of each."""
+    """Show the denoiser a thing at both of its places, at half its weight; call that noisy whatever the number."""
     moved = opened(scene(-0.4))
-    moved.add_guides(8)
+    moved.step(128)
     moved.move(SceneDelta(instances=scene(0.4).instances), CAMERA)
-    moved.add_guides(8)
+    moved.step(128)
     both = moved.guides()[0].numpy()
     singles = []
     for x in (-0.4, 0.4):
         single = opened(scene(x))
-        single.add_guides(16)
+        single.step(256)
         singles.append(single.guides()[0].numpy())
+        assert single.denoiser._noiseless
     np.testing.assert_allclose(both, 0.5 * (singles[0] + singles[1]), atol=0.15)
     assert np.abs(both - singles[0]).max() > 0.05
-    moved.add_guides(1 << 20)
-    assert moved.denoiser._guide_samples == 64
+    assert moved.denoiser._guide_samples == 256 and not moved.denoiser._noiseless
     moved.reset()
-    assert moved.guides()[0].numpy().shape == both.shape and moved.denoiser._sums is None
+    moved.step(256)
+    assert moved.guides()[0].numpy().shape == both.shape and moved.denoiser._noiseless
 
 
 def test_what_is_odd_at_each_moment_is_told_once():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.passes.reference import FilmBuffers
+from burnish.engine.passes.film_buffers import FilmBuffers
 from burnish.engine.passes.rest import RestBlend
 from burnish.engine.passes.wavefront import make_paths
 from burnish.kernels import film as film_kernels
