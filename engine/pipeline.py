@@ -283,7 +283,8 @@ class Pipeline:
         graph, kernels_scene = FrameGraph(self.device), light_scene(scene.scene, self._settings.direct_light)
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         shining = shines_plainly(kernels_scene, scene.emitters)
-        lean, below = scene.material_table.lean, scatters_below(scene, self._settings.reflections)
+        lean, reflectors = scene.material_table.lean, scene.material_table.reflectors
+        below = scatters_below(scene, self._settings.reflections)
         # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
         # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
         lit, fog = self._needs_direct(graph, scene), self._needs_fog(graph, parity, scene)
@@ -294,9 +295,9 @@ class Pipeline:
         smallest = smallest_cell(self._settings.cache, scene.radius)
         self.cache.grid.homes = scene.homes.struct(scene.instances)
         cache_scene = {
-            "minimum_cell": smallest, "threshold": self.split.threshold, "programs": programs,
-            "filtered": filtered or passes_glass(kernels_scene),
-            "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels, "fog": fog}
+            "minimum_cell": smallest, "threshold": self.split.threshold, "programs": programs, "fog": fog,
+            "filtered": filtered or passes_glass(kernels_scene), "polished": reflectors.polished,
+            "all_lean": lean.flat, "lean_layers": lean.transparency, "world": scene.world_texels}
         self.cache.record_pending(
             graph, kernels_scene, views, phase, self.probes.rays_a_frame, after=PREPARATION, **cache_scene)
         surfaces = self.gbuffer.record(
@@ -309,7 +310,6 @@ class Pipeline:
         color, matte = self.composite.color.previous(parity), self.composite.matte.previous(parity)
         traced = self._reflecting(graph, scene)
         gathering = self._gathering(graph, resting)
-        reflectors = scene.material_table.reflectors
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             lean.lean_strands, reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,

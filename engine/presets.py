@@ -64,6 +64,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "cache.scan_all": False,
         "cache.level_blend": False,
         "cache.cone_test": False,
+        "cache.follow_mirrors": False,
         "direct_light.candidates": 4,
         "direct_light.temporal_reuse": 1,
         "direct_light.quarter_rate": False,

@@ -22,6 +22,8 @@ class Reflectors:
 
     sharpest: float = math.inf
     """Least roughness of any reflection; endless where nothing reflects"""
+    polished: float = math.inf
+    """The same of metal and glossy surfaces, which mostly reflect"""
     refracts: bool = False
     """Whether any is glass"""
     scatters: bool = False
@@ -34,16 +36,25 @@ class Reflectors:
 
 def find_reflectors(programs: Iterable[Program]) -> Reflectors:
     """Return what the materials with these programs do; what varies may be anything."""
-    sharpest, refracts, scatters, glossy, shaped = math.inf, False, False, False, False
+    sharpest, polished, refracts, scatters, glossy, shaped = math.inf, math.inf, False, False, False, False
     for program in programs:
         for kind, arguments in closures(program):
             sharpest = min([sharpest, *roughnesses(kind, arguments)])
+            if is_polished(kind, arguments):
+                polished = min(polished, arguments[codes.ARG_ROUGHNESS] or 0.0)
             refracts |= kind in (kernel_types.CLOSURE_GLASS, kernel_types.CLOSURE_REFRACTION) or (
                 kind == kernel_types.CLOSURE_PRINCIPLED and arguments[codes.ARG_TRANSMISSION] != 0.0)
             scatters |= is_translucent(kind, arguments)
             glossy |= is_glossy(kind, arguments)
             shaped |= is_shaped(kind, arguments)
-    return Reflectors(sharpest, refracts, scatters, glossy, shaped)
+    return Reflectors(sharpest, polished, refracts, scatters, glossy, shaped)
+
+
+def is_polished(kind: int, arguments: list[float | None]) -> bool:
+    """Return whether a closure may reflect most light that it gets, if it is smooth."""
+    if kind == kernel_types.CLOSURE_PRINCIPLED:
+        return arguments[codes.ARG_METALLIC] != 0.0
+    return kind == kernel_types.CLOSURE_GLOSSY
 
 
 def is_shaped(kind: int, arguments: list[float | None]) -> bool:

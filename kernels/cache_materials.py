@@ -5,8 +5,18 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_rays import DIMENSION_CLOSURE, Vertices, slot_seed
-from .environment_split import NO_THRESHOLD, soft_radiance
+from .cache_mirrors import (
+    Mirrors,
+    goes_on,
+    limit_followed,
+    mirror_chance,
+    over_mirror,
+    send_over,
+    way_before,
+    way_weight,
+)
+from .cache_rays import DIMENSION_CLOSURE, IDLE, Vertices, slot_seed
+from .environment_split import soft_radiance
 from .geometry_math import is_finite3, mean_component, power_heuristic
 from .intersect import MISS, surface_point
 from .light_linking import is_linked
@@ -69,13 +79,15 @@ def flat_start(scene: Scene, point: ShadingPoint) -> int:
 
 
 @wp.func
-def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, weighed: bool) -> float:
+def emission_weight(
+    scene: Scene, point: ShadingPoint, paths: Paths, mirrors: Mirrors, slot: int, weighed: bool,
+) -> float:
     """Return how much of a hit's emission its ray brings: none of what arrives by light sampling.
 
     `weighed`: the two share it by their densities (Veach 1997), so that neither is noisy close to an emitter. Not of
-    emitters that are for some objects alone: rays don't know what they have left.
+    emitters that are for some objects alone: rays don't know what they have left. No light is sampled over mirrors.
     """
-    if not is_sampled_emitter(scene, point.instance, point.triangle):
+    if over_mirror(mirrors, slot) or not is_sampled_emitter(scene, point.instance, point.triangle):
         return 1.0
     if not weighed:
         return 0.0
@@ -89,11 +101,37 @@ def emission_weight(scene: Scene, point: ShadingPoint, paths: Paths, slot: int, 
 
 
 @wp.func
-def store_surface(
-    point: ShadingPoint, albedo: BsdfAlbedo, normal: wp.vec3, emitted: wp.vec3, weight: wp.vec3, share: float,
-    vertices: Vertices, slot: int,
+def store_world(
+    view: View, scene: Scene, radiance: wp.vec3, bounce: int, threshold: float, filtered: int, paths: Paths,
+    mirrors: Mirrors, vertices: Vertices, slot: int,
 ):
-    """Store what is known of a hit; `weight` is what layers before it let through, `share` that of its emission."""
+    """Store what a ray that misses brings of the world: its bright part is sampled as a light, but over mirrors."""
+    light = radiance
+    if over_mirror(mirrors, slot):
+        light = limit_followed(view, scene, radiance)
+    elif bounce == 0:
+        light = soft_radiance(radiance, threshold, scene.luminance)
+    light = sane(wp.cw_mul(light, way_weight(mirrors, filtered, paths, slot)))
+    vertices.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
+
+
+@wp.func
+def store_surface(
+    view: View, scene: Scene, point: ShadingPoint, albedo: BsdfAlbedo, normal: wp.vec3, emitted: wp.vec3, share: float,
+    filtered: int, paths: Paths, mirrors: Mirrors, vertices: Vertices, slot: int,
+):
+    """Store what is known of a hit, or send its ray on over a mirror; `share` is that of its emission."""
+    weight = way_weight(mirrors, filtered, paths, slot)
+    chance = mirror_chance(albedo, mirrors, slot)
+    if chance > 0.0:
+        if goes_on(chance, slot_seed(slot), view.frame):
+            send_over(point, normal, wp.cw_mul(weight, albedo.reflected) / chance, filtered, paths, mirrors, slot)
+            vertices.emission[slot] = wp.vec4(0.0, 0.0, 0.0, IDLE)
+            return
+        weight = weight / (1.0 - chance)
+        albedo.specular = albedo.specular - albedo.reflected
+    if over_mirror(mirrors, slot):
+        emitted = limit_followed(view, scene, emitted)
     # Refracted light comes from the other side like that of the translucent lobe.
     behind = sane(albedo.translucent + albedo.transmitted)
     total = sane(albedo.diffuse + albedo.specular) + behind
@@ -101,7 +139,8 @@ def store_surface(
     reflectance = sane(wp.cw_mul(total, weight))
     vertices.reflectance[slot] = wp.vec4(reflectance[0], reflectance[1], reflectance[2], through)
     emission = sane(wp.cw_mul(emitted, weight) * share)
-    vertices.emission[slot] = wp.vec4(emission[0], emission[1], emission[2], wp.min(point.ray_length, MISS_DISTANCE))
+    length = wp.min(point.ray_length + way_before(mirrors, slot), MISS_DISTANCE)
+    vertices.emission[slot] = wp.vec4(emission[0], emission[1], emission[2], length)
     p = point.position
     vertices.position[slot] = wp.vec4(p[0], p[1], p[2], point.error)
     vertices.geometric_normal[slot] = pack_normal(point.geometric_normal)
@@ -111,13 +150,10 @@ def store_surface(
 @wp.func
 def evaluate_one(
     scene: Scene, view: View, bounce: int, weighed: int, threshold: float, filtered: int, paths: Paths,
-    vertices: Vertices, slot: int,
+    mirrors: Mirrors, vertices: Vertices, slot: int,
 ):
     """Run the program of the material that a ray hits, or of the world."""
     vertices.reflectance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    weight = wp.vec3(1.0, 1.0, 1.0)
-    if filtered == 1:
-        weight = paths.throughput[slot]
     missed = paths.hit[slot][0] == MISS
     point = world_point(paths.direction[slot], VISIBLE_DIFFUSE, 1, 0.0)
     start = scene.materials.world_start
@@ -127,14 +163,13 @@ def evaluate_one(
     u = sample_pair(slot_seed(slot), wp.uint32(view.frame), DIMENSION_CLOSURE)
     closure = run(scene, point, start, u[0])
     if missed:
-        limit = wp.where(bounce == 1, NO_THRESHOLD, threshold)
-        light = sane(wp.cw_mul(soft_radiance(sane(closure.emission), limit, scene.luminance), weight))
-        vertices.emission[slot] = wp.vec4(light[0], light[1], light[2], MISS_DISTANCE)
+        store_world(view, scene, sane(closure.emission), bounce, threshold, filtered, paths, mirrors, vertices, slot)
         return
-    share = emission_weight(scene, point, paths, slot, bounce == 1 and weighed == 1)
+    share = emission_weight(scene, point, paths, mirrors, slot, bounce == 1 and weighed == 1)
     bsdf = prepare_bsdf(scene.tables, closure, point)
     albedo = bsdf_albedo(scene.tables, bsdf, point.wo)
-    store_surface(point, albedo, bsdf.normal, bsdf.emission, weight, share, vertices, slot)
+    store_surface(
+        view, scene, point, albedo, bsdf.normal, bsdf.emission, share, filtered, paths, mirrors, vertices, slot)
 
 
 @wp.kernel
@@ -146,11 +181,12 @@ def evaluate_cache_materials(
     weighed: int,
     threshold: float,
     filtered: int,
-    paths: Paths,
     stride: int,
     count: wp.array[int],
     queue: wp.array[int],
     # Out:
+    paths_out: Paths,
+    mirrors_out: Mirrors,
     vertices_out: Vertices,
 ):
     """Run the programs of what listed rays meet, as far as evaluate_cache_lean has left them.
@@ -162,5 +198,6 @@ def evaluate_cache_materials(
     while i < count[0]:
         slot = queue[i]
         if vertices_out.emission[slot][3] == LEFT:
-            evaluate_one(scene, views[0], bounce, weighed, threshold, filtered, paths, vertices_out, slot)
+            evaluate_one(
+                scene, views[0], bounce, weighed, threshold, filtered, paths_out, mirrors_out, vertices_out, slot)
         i = i + stride

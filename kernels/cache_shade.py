@@ -134,7 +134,7 @@ def resolve_rays(
     radiance = rgb(emission)
     reflectance = rgb(vertices.reflectance[slot])
     if wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
-        light = cached_light(grid, view, paths, vertices, slot, rays_out.direction[slot], cone_test)
+        light = cached_light(grid, view, paths, vertices, slot, paths.direction[slot], cone_test)
         radiance = radiance + wp.cw_mul(reflectance, light)
     radiance = radiance * view.exposure
     if not is_finite3(radiance):

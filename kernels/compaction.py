@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_materials import LEFT
+from .cache_mirrors import Mirrors, over_mirror
 from .intersect import MISS
 from .paths import ENDED, Paths, has_layers, has_shadow_layers, waits_for_program
 from .pixel_order import pixel_in_blocks
@@ -89,6 +90,21 @@ def append_pending_shadows(
     path = offset + wp.tid()
     if waits_for_program(paths, path):
         queue_out[wp.atomic_add(count_out, 0, 1)] = path
+
+
+@wp.kernel
+def append_mirrored(
+    # In:
+    mirrors: Mirrors,
+    offset: int,
+    # Out:
+    queue_out: wp.array[int],
+    count_out: wp.array[int],
+):
+    """Append the cache's rays, from slot `offset` on, that go on over a mirror."""
+    slot = offset + wp.tid()
+    if over_mirror(mirrors, slot):
+        queue_out[wp.atomic_add(count_out, 0, 1)] = slot
 
 
 @wp.kernel

@@ -30,6 +30,7 @@ from .reflection_rays import (
     ReflectionRays,
 )
 from .sampling import sample_cosine, sample_pair
+from .types import VISIBLE_DIFFUSE
 from .view import View
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -91,6 +92,7 @@ def follow_near_hits(
     paths_out.origin[slot] = offset_origin(rgb(p), side, p[3], direction)
     paths_out.direction[slot] = direction
     paths_out.t[slot] = FAR
+    paths_out.kind[slot] = VISIBLE_DIFFUSE
     paths_out.throughput[slot] = sane(wp.cw_mul(paths_out.throughput[slot], rgb(r)) / (1.0 - DIRECT_CHANCE))
     paths_out.pdf[slot] = wp.min(paths_out.pdf[slot], wp.max(local[2] * share * INV_PI, 1.0e-6))
     cone = paths_out.cone[slot]

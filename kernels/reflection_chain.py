@@ -37,6 +37,7 @@ from .reflection_rays import (
     FOUND_DIRECT,
     FOUND_HIT,
     FOUND_WHOLE_HIT,
+    GATHERED,
     REFRACTED,
     ReflectionRays,
     kind_through,
@@ -159,6 +160,9 @@ def choose_branch(
         least = SHARE_MIN_FURTHER
     if paths.pdf[slot] < WIDE_DENSITY:
         least = SHARE_MIN_WIDE
+    if reflection == GATHERED and glass > 0.0:
+        # Light samples know a way through glass.
+        least = 1.0
     if last != 0 or not (scatter > 0.0 or mirror + glass > wp.max(least * total, PART_MIN)):
         branch.direct = 0
         return branch

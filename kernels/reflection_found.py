@@ -42,7 +42,8 @@ def miss_light(
         share = world_ray_share(split, density, paths.direction[slot])
         light = soft_radiance(world, split.threshold, scene.luminance)
         light = light + excess_radiance(world, split.threshold, scene.luminance) * share
-        if (reflection == GATHERED or paths.kind[slot] == VISIBLE_DIFFUSE) and not comes_straight(paths, slot):
+        sampled = paths.kind[slot] == VISIBLE_DIFFUSE or (reflection == GATHERED and density < 0.0)
+        if sampled and not comes_straight(paths, slot):
             # Hits that such rays go on from sample the whole world, if anyone does (branch.direct).
             light = world * wp.where(scene.lights.environment_class >= 0, 0.0, 1.0)
         shared = shared_with_samples(rays, paths, slot)

@@ -28,7 +28,7 @@ from .packing import pack_normal
 from .paths import ENDED, Paths
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, place_pixel
 from .sampling import pixel_seed_of
-from .types import VISIBLE_DIFFUSE, VISIBLE_TRANSMISSION, Scene, ShadingPoint
+from .types import VISIBLE_DIFFUSE, VISIBLE_GLOSSY, VISIBLE_TRANSMISSION, Scene, ShadingPoint
 from .view import View
 
 # Dimensions of reflections' random numbers; each further surface takes as many as there are here.
@@ -223,14 +223,16 @@ REFRACTED = wp.constant(0)
 REFLECTED = wp.constant(1)
 """Light samples, for rays that come straight from the pixel's surface, over no mirror; both share them"""
 GATHERED = wp.constant(2)
-"""Light samples show all of them (direct diffuse light)"""
+"""Light samples show all of them (direct diffuse light), but those that mirrors show"""
 
 
 @wp.func
 def first_density(reflection: int, paths: Paths, slot: int) -> float:
     """Return the density that a ray shares light with (reflection_lights.py); 0: it counts in full, -1: not at all."""
     kind = paths.kind[slot] & (CLEAR_WAY - 1)
-    if reflection == GATHERED or kind == VISIBLE_DIFFUSE or kind == (VISIBLE_DIFFUSE | VISIBLE_TRANSMISSION):
+    if reflection == GATHERED:
+        return wp.where(kind == VISIBLE_GLOSSY, 0.0, -1.0)
+    if kind == VISIBLE_DIFFUSE or kind == (VISIBLE_DIFFUSE | VISIBLE_TRANSMISSION):
         return -1.0
     return wp.where(reflection == REFLECTED and comes_straight(paths, slot), paths.pdf[slot], 0.0)
 

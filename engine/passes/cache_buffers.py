@@ -11,6 +11,7 @@ from ...kernels import (
     cache_claim,
     cache_lean,
     cache_materials,
+    cache_mirror_lamps,
     cache_programs,
     cache_rays,
     clear_tracing,
@@ -32,6 +33,7 @@ from ..structures import decides_layers, is_flat, without_opaque
 from ..work_list import WorkList
 from .fog_ways import FogWays
 from .layer_rays import record_shadow_layers
+from .mirror_rays import MirrorRays
 
 __all__ = [
     "count_rays", "make_control", "make_grid", "make_paths", "make_rays", "record_insertion", "record_materials",
@@ -161,9 +163,11 @@ def record_insertion(
 
 def record_materials(
     graph: FrameGraph, scene: Scene, views: wp.array, paths: Paths, vertices: Vertices, world: wp.array, offset: int,
-    count: int, what: list, left: WorkList | None, ways: FogWays | None,
+    count: int, what: list, left: WorkList | None, ways: FogWays | None, mirrors: MirrorRays, lean_layers: bool,
 ) -> None:
     """Record what the hits of `count` rays from slot `offset` on are made of, and what fog before them does.
+
+    Those on mirrors are followed to what is seen there.
 
     Args:
         graph: What to add to.
@@ -177,13 +181,26 @@ def record_materials(
         what: `bounce`, `weighed`, `threshold` and `filtered` of evaluate_cache_materials.
         left: Room for those hits that need the full node machine; None: there are none.
         ways: What fog does on their ways; None: there is none.
+        mirrors: Those of the rays that go on over mirrors.
+        lean_layers: Whether the lean node machine runs all transparency programs.
     """
-    what = [*what, paths]
-    graph.launch(cache_lean.evaluate_cache_lean, count, [views, scene, world, offset, *what], [vertices])
+    found = [paths, mirrors.struct, vertices]
+    graph.launch(cache_lean.evaluate_cache_lean, count, [views, scene, world, offset, *what], found)
+
     if left is not None:
         graph.fill_list(compaction.append_left_hits, count, [vertices.emission, offset], left)
+        graph.launch_listed(cache_materials.evaluate_cache_materials, [views, scene, *what], left, found, few=True)
+    if mirrors:
+        going_on = mirrors.record(graph, scene, offset, count, lean=lean_layers)
         graph.launch_listed(
-            cache_materials.evaluate_cache_materials, [views, scene, *what], left, [vertices], few=True)
+            cache_lean.evaluate_mirrored_lean, [views, scene, world, *what], going_on, found, few=True)
+        if left is not None:
+            graph.launch_listed(
+                cache_materials.evaluate_cache_materials, [views, scene, *what], going_on, found, few=True)
+        if scene.lights.lamp_count > 0:
+            graph.launch_listed(
+                cache_mirror_lamps.meet_mirrored_lamps, [views, scene, what[-1], paths, mirrors.struct], going_on,
+                [vertices], few=True)
     if ways is not None:
         ways.record(graph, views, scene, paths, vertices, offset, count)
 

@@ -15,6 +15,7 @@ from ...kernels import (
     flat_tracing,
     layers,
     layers_lean,
+    reflection_trace,
     shadow_layers,
     shadow_layers_lean,
     tracing,
@@ -27,7 +28,7 @@ from ..shadow_rays import make_options
 from ..structures import decides_layers, is_flat, without_opaque
 from ..work_list import WorkList, one_number
 
-__all__ = ["record_hits", "record_layers", "record_shadow_layers", "record_shadows"]
+__all__ = ["record_further", "record_hits", "record_layers", "record_shadow_layers", "record_shadows"]
 
 
 def record_shadows(
@@ -82,6 +83,31 @@ def record_hits(
     graph.launch(trace, count, [scene, offset], [paths])
     if filtered:
         record_layers(graph, scene, paths, offset, count, queue, layered, lean=lean)
+
+
+def record_further(
+    graph: FrameGraph, scene: Scene, paths: Paths, offset: int, count: int, going_on: WorkList, queue: wp.array,
+    layered: WorkList, *, filtered: bool, lean: bool, through: bool,
+) -> None:
+    """Record finding what the listed of `count` rays from slot `offset` on meet; else as record_hits.
+
+    `going_on`: the list. Rays whose state is ENDED are left alone: on the processor they are in it too.
+    """
+    flat, decided = is_flat(scene), filtered and decides_layers(scene)
+    if through and passes_glass(scene):
+        trace = clear_tracing.trace_flat_clear_further if flat else clear_tracing.trace_clear_further
+        graph.launch_listed(trace, [scene, int(decided)], going_on, [paths], few=True)
+        if filtered and not decided:
+            record_layers(graph, scene, paths, offset, count, queue, layered, lean=lean)
+        return
+    if decided:
+        trace = decided_layers.trace_decided_further if flat else decided_instances.trace_all_decided_further
+        graph.launch_listed(trace, [scene], going_on, [paths], few=True)
+        return
+    trace = flat_tracing.trace_flat_further if flat else reflection_trace.trace_further
+    graph.launch_listed(trace, [scene, int(filtered)], going_on, [paths], few=True)
+    if filtered:
+        record_layers(graph, scene, paths, offset, count, queue, layered, lean=lean, traced=True)
 
 
 def record_layers(

@@ -8,11 +8,13 @@ the frame before, lights the cell that it came from. Owns the cells and the fram
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ...kernels import cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade
+from ...kernels.cache_mirrors import FOLLOWED_ROUGHNESS
 from ...kernels.environment_split import NO_THRESHOLD
 from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
@@ -48,6 +50,7 @@ from .cache_spreading import (
 )
 from .fog_ways import FogWays
 from .layer_rays import record_hits
+from .mirror_rays import MirrorRays
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -88,18 +91,14 @@ class RadianceCachePass:
         self.capacity = 1 << settings.capacity
         self.grid = make_grid(settings, device)
         self.control = make_control(device)
+        # Cells in use, listed while light goes on within frames.
         self.live = WorkList(self._zeros(self.capacity, int), self._zeros(1, int))
-        """Cells in use, listed while light goes on within frames"""
-        self.pending = self._zeros(1, int)
-        """Frame that has started bounce rays for the next one, plus one"""
+        self.pending = self._zeros(1, int)  # frame that has started bounce rays for the next one, plus one
         self.count = self.bounces = self.settled = -1
-        self.further: tuple[int, ...] = ()
-        """Bounce rays from where this frame's have ended, and from there again, while light spreads"""
-        self._layers = False
-        self.ways: FogWays | None = None
-        """The fog along all rays"""
-        self._views: wp.array | None = None
-        self._gbuffer: dict[int, GBuffer] = {}
+        self.further: tuple[int, ...] = ()  # from where this frame's have ended, and again, while light spreads
+        self._layers, self.mirrors = False, None
+        self.ways: FogWays | None = None  # the fog along all rays
+        self._views, self._gbuffer = None, {}
 
     def _zeros(self, count: int, dtype: type) -> wp.array:
         return wp.zeros(count, dtype=dtype, device=self.device)
@@ -117,13 +116,13 @@ class RadianceCachePass:
         if self.count >= 0:
             self.vertices.cell.fill_(int(NO_CELL))
 
-    def _fit(self, count: int, filtered: bool) -> None:
+    def _fit(self, count: int, filtered: bool, mirrors: bool) -> None:
         """Allocate for so many probe rays."""
         share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
         self.settled = math.ceil(share * count)
         # Room for as many as there are hits: light spreads faster with them after the start and edits.
         bounces = max(self.settled, spreading_rays(count, self.width, self.height)) if share > 0.0 else 0
-        if (count, bounces, filtered) == (self.count, self.bounces, self._layers):
+        if (count, bounces, filtered, mirrors) == (self.count, self.bounces, self._layers, bool(self.mirrors)):
             return
         self.count, self.bounces, self._layers = count, bounces, filtered
         # Only where light goes on from cell to cell.
@@ -135,6 +134,7 @@ class RadianceCachePass:
         self.layered = make_work_list(total if filtered else 1, self.device)
         self.left, self.lit = make_work_list(total, self.device), make_work_list(total, self.device)
         """Rays and shadow rays that need the full node machine; all shadow rays"""
+        self.mirrors = MirrorRays(self.paths, total if mirrors else 0, self.queue, self.layered, self.device)
 
     @property
     def most_bounces(self) -> int:
@@ -154,7 +154,7 @@ class RadianceCachePass:
         minimum_cell: float, threshold: float = float(NO_THRESHOLD), filtered: bool = True, programs: bool = True,
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
         world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
-        phase: LightPhase = LightPhase.SWEEPING, fog: Fog | None = None,
+        phase: LightPhase = LightPhase.SWEEPING, fog: Fog | None = None, polished: float = math.inf,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -177,8 +177,9 @@ class RadianceCachePass:
             after: Branches of the graph that add cells and samples.
             phase: How far light has spread in these frames.
             fog: What is along the rays; None: nothing.
+            polished: Least roughness of surfaces that mostly reflect (Reflectors).
         """
-        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog)
+        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog, polished)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
         total = count + self.most_bounces
@@ -211,26 +212,25 @@ class RadianceCachePass:
 
     def _take(
         self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
-        world: wp.array | None, fog: Fog | None,
+        world: wp.array | None, fog: Fog | None, polished: float,
     ) -> None:
         """Take in what a record needs to know, and allocate for it."""
         self._all_lean, self._lean_layers = all_lean, lean_layers
         self._world = self._zeros(1, wp.vec3) if world is None else world
         self.grid.minimum = minimum_cell
-        self._fit(count, filtered)
+        self._fit(count, filtered, self.settings.follow_mirrors and polished < FOLLOWED_ROUGHNESS)
         self.ways = fog and FogWays.make(fog, self.count + self.most_bounces, self.device, self.ways)
 
     def record_pending(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, minimum_cell: float,
-        threshold: float, filtered: bool, programs: bool, all_lean: bool, lean_layers: bool, world: wp.array,
-        after: str, fog: Fog | None = None,
+        self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, threshold: float,
+        programs: bool, after: str, **what: Any,
     ) -> None:
         """Record following the bounce rays of the frame before, in settled frames: they are not waited for in theirs.
 
         Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; `record`
         goes on with it: their light is for the next frame. Other arguments as of `record`.
         """
-        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog)
+        self._take(count, **what)
         if self.bounces == 0 or not self.is_settled(phase):
             return
         with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.most_bounces):
@@ -278,9 +278,9 @@ class RadianceCachePass:
             left = None
             if not self._all_lean or (scene.environment.constant == 0 and len(self._world) == 1):
                 left = self.left.part(offset, count)
-            record_materials(
-                graph, scene, views, self.paths, self.vertices, self._world, offset, count,
-                [int(offset > 0), self.grid.weighed, threshold, int(self._layers)], left, self.ways)
+            what = [int(offset > 0), self.grid.weighed, threshold, int(self._layers)]
+            record_materials(graph, scene, views, self.paths, self.vertices, self._world, offset, count, what, left,
+                             self.ways, self.mirrors, self._lean_layers)
 
     def _record_insertion(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
         """Record finding or making the cells of the hits of `count` rays from slot `offset` on."""
@@ -396,4 +396,5 @@ class RadianceCachePass:
             bounces = self.most_bounces if sweeps(self._views) else self.bounces
             counters = count_rays(self.paths, self.vertices, self.grid, self.count, self.control, self.count + bounces)
         counts = {name: int(counters[int(index)]) for name, index in COUNTERS.items()}
-        return counts | {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}
+        counts |= {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}
+        return counts | {"rays over mirrors": self.mirrors.followed() if self.mirrors else 0}

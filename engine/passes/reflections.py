@@ -12,11 +12,7 @@ import warp as wp
 
 from ...kernels import (
     cache_cells,
-    clear_tracing,
     compaction,
-    decided_instances,
-    decided_layers,
-    flat_tracing,
     fog_rays,
     gather_further,
     gather_start,
@@ -34,7 +30,6 @@ from ...kernels import (
     reflection_screen,
     reflection_start,
     reflection_tail,
-    reflection_trace,
 )
 from ...kernels.cache_cells import CacheControl
 from ...kernels.cache_rays import Vertices
@@ -49,12 +44,11 @@ from ...kernels.reflection_types import (
     LOBE_TRANSMISSION,
     ReflectionSamples,
 )
-from ..clear_glass import passes_glass
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..ray_budget import HALF_RATE_PIXELS
 from ..settings import ReflectionSettings
-from ..structures import decides_layers, is_flat
+from ..structures import decides_layers
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
     BOUNCE_ARRAYS,
@@ -65,7 +59,7 @@ from .cache_buffers import (
     record_shadow_rays,
     record_sums,
 )
-from .layer_rays import record_hits, record_layers
+from .layer_rays import record_further, record_hits
 from .ray_media import RayMedia, last_of
 from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
@@ -86,7 +80,9 @@ WAVES = 2
 """Segments that have launches of their own; what is still under way then is little and goes to its end in one"""
 
 GATHER_SEGMENTS = 2
-"""Most segments of a final gather ray"""
+"""Most segments of a final gather ray, each over a mirror besides"""
+MIRRORS_GATHERED = 1
+"""That those rays go on over, as those of the probes do"""
 
 CANDIDATES = 4
 """Samples of light considered at each hit"""
@@ -184,8 +180,9 @@ class ReflectionPass:
             graph.call(lambda: wp.utils.array_scan(rays.flag, rays.rank, inclusive=True))
             graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
             self._record_directions(graph, views, gbuffer, what)
-        follows = {int(LOBE_DIFFUSE): False, int(LOBE_TRANSMISSION): what.mirrors or what.scatters}
-        segments = 1 + (self.settings.bounces if follows.get(self.lobe, what.mirrors) else 0)
+        followed = {int(LOBE_DIFFUSE): min(self.settings.bounces, MIRRORS_GATHERED)}
+        follows = what.mirrors or (what.scatters and self.lobe == int(LOBE_TRANSMISSION))
+        segments = 1 + (followed.get(self.lobe, self.settings.bounces) if follows else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
         waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
         if what.fog is not None:
@@ -258,8 +255,10 @@ class ReflectionPass:
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
-                self._record_further(graph, what)
-            if scene.lights.lamp_count > 0 and self.lobe != int(LOBE_DIFFUSE):
+                record_further(
+                    graph, scene, paths, 0, blocks, work, self.queue, self.layered, filtered=what.filtered,
+                    lean=what.lean_layers, through=self.lobe == int(LOBE_DIFFUSE))
+            if scene.lights.lamp_count > 0 and (self.lobe != int(LOBE_DIFFUSE) or index > 0):
                 graph.launch_listed(
                     reflection_lamps.meet_lamps, [scene, self.reflection, rays], work, [paths, vertices])
         with graph.section(self._section("materials")):
@@ -281,28 +280,6 @@ class ReflectionPass:
                     [rays, paths, vertices], few=True)
             if self._media is not None:
                 self._media.record_crossing(graph, paths, self.all if index == 0 else self.living)
-
-    def _record_further(self, graph: FrameGraph, what: RayScene) -> None:
-        """Record finding what further segments of the rays under way meet."""
-        scene, paths = what.scene, self.paths
-        if self.lobe == int(LOBE_DIFFUSE) and passes_glass(scene):
-            decided = what.filtered and decides_layers(scene)
-            further = clear_tracing.trace_flat_clear_further if is_flat(scene) else clear_tracing.trace_clear_further
-            graph.launch_listed(further, [scene, int(decided)], self.living, [paths], few=True)
-            if what.filtered and not decided:
-                record_layers(
-                    graph, scene, paths, 0, self.blocks, self.queue, self.layered, lean=what.lean_layers)
-            return
-        if what.filtered and decides_layers(scene):
-            trace = (decided_layers.trace_decided_further if is_flat(scene)
-                     else decided_instances.trace_all_decided_further)
-            graph.launch_listed(trace, [scene], self.living, [paths], few=True)
-            return
-        trace = flat_tracing.trace_flat_further if is_flat(scene) else reflection_trace.trace_further
-        graph.launch_listed(trace, [scene, int(what.filtered)], self.living, [paths], few=True)
-        if what.filtered:
-            record_layers(
-                graph, scene, paths, 0, self.blocks, self.queue, self.layered, lean=what.lean_layers, traced=True)
 
     def _record_ends(self, graph: FrameGraph, what: RayScene, segments: int) -> None:
         """Record following the rays that are still under way to their ends, over so many segments in all."""
