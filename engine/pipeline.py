@@ -41,7 +41,7 @@ from .passes.hair import HairPass, scatters_in_hair
 from .passes.radiance_cache import RadianceCachePass, smallest_cell
 from .passes.ray_scene import scatters_below
 from .passes.reflection_denoise import ReflectionDenoisePass
-from .passes.reflections import STRIDES, RayScene, ReflectionPass
+from .passes.reflections import STRIDES, RayScene, ReflectionPass, gather_settings
 from .passes.rest_gather import RestGatherPass
 from .passes.screen_probes import ScreenProbePass
 from .settings import RenderSettings
@@ -91,7 +91,7 @@ class Pipeline:
         self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
         self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
         self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
-        self.gather = ReflectionPass(device, settings.reflections, int(LOBE_DIFFUSE))
+        self.gather = ReflectionPass(device, gather_settings(settings), int(LOBE_DIFFUSE))
         self.hair = HairPass(device, settings.reflections)
         self.rest_gather = RestGatherPass(device)
         self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))

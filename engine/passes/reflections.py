@@ -8,6 +8,8 @@ reads the cache there and asks the probes about rougher surfaces. Denoising is a
 
 from __future__ import annotations
 
+import dataclasses
+
 import warp as wp
 
 from ...kernels import (
@@ -47,7 +49,7 @@ from ...kernels.reflection_types import (
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..ray_budget import HALF_RATE_PIXELS
-from ..settings import ReflectionSettings
+from ..settings import ReflectionSettings, RenderSettings
 from ..structures import decides_layers
 from ..work_list import WorkList, make_queue, make_work_list
 from .cache_buffers import (
@@ -65,7 +67,7 @@ from .ray_scene import STRIDES, RayScene, reflection_options
 from .screen_probes import ScreenProbePass
 from .walks import WalkPass
 
-__all__ = ["STRIDES", "RayScene", "ReflectionPass", "reflection_options"]
+__all__ = ["STRIDES", "RayScene", "ReflectionPass", "gather_settings", "reflection_options"]
 
 SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
 
@@ -93,6 +95,12 @@ DEBUG_CHANNELS = {
     "reflections.radiance": reflection_debug.REFLECTION_RADIANCE,
     "reflections.distance": reflection_debug.REFLECTION_DISTANCE,
 }
+
+
+def gather_settings(settings: RenderSettings) -> ReflectionSettings:
+    """Return the settings of final gather's rays, which go on over as many mirrors as those of the probes."""
+    reflections, mirrors = settings.reflections, MIRRORS_GATHERED if settings.cache.follow_mirrors else 0
+    return dataclasses.replace(reflections, bounces=min(reflections.bounces, mirrors))
 
 
 class ReflectionPass:
@@ -180,9 +188,8 @@ class ReflectionPass:
             graph.call(lambda: wp.utils.array_scan(rays.flag, rays.rank, inclusive=True))
             graph.launch(reflection_place.list_rays, blocks, [], [rays], banded=False)
             self._record_directions(graph, views, gbuffer, what)
-        followed = {int(LOBE_DIFFUSE): min(self.settings.bounces, MIRRORS_GATHERED)}
         follows = what.mirrors or (what.scatters and self.lobe == int(LOBE_TRANSMISSION))
-        segments = 1 + (followed.get(self.lobe, self.settings.bounces) if follows else 0)
+        segments = 1 + (self.settings.bounces if follows else 0)
         # Layers that only the full machine knows take a kernel of their own, for each segment.
         waves = min(segments, WAVES) if what.lean_layers or not what.filtered else segments
         if what.fog is not None:
