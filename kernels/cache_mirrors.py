@@ -12,11 +12,13 @@ import warp as wp
 
 from .environment_split import soft_radiance
 from .geometry_math import mean_component
+from .ggx import reflect_about
 from .intersect import offset_origin
 from .lamp_hit import FAR
 from .normals import valid_specular_normal
+from .packing import rgb
 from .paths import ENDED, Paths
-from .reflectance import BsdfAlbedo
+from .reflectance import BsdfAlbedo, whole_albedo
 from .sampling import hash_combine, hashed_unit
 from .types import Scene, ShadingPoint
 from .view import View
@@ -61,8 +63,7 @@ def way_weight(mirrors: Mirrors, filtered: int, paths: Paths, slot: int) -> wp.v
     if filtered == 1:
         weight = paths.throughput[slot]
     if over_mirror(mirrors, slot):
-        w = mirrors.weight[slot]
-        weight = wp.cw_mul(weight, wp.vec3(w[0], w[1], w[2]))
+        weight = wp.cw_mul(weight, rgb(mirrors.weight[slot]))
     return weight
 
 
@@ -85,9 +86,8 @@ def mirror_chance(albedo: BsdfAlbedo, mirrors: Mirrors, slot: int) -> float:
     """Return the chance with which a ray goes on over what it has hit: 0 where that is no mirror, or its second."""
     if mirrors.state.shape[0] == 0 or mirrors.state[slot] != ENDED or albedo.roughness >= FOLLOWED_ROUGHNESS:
         return 0.0
-    total = mean_component(albedo.diffuse + albedo.specular + albedo.translucent + albedo.transmitted)
     reflected = mean_component(albedo.reflected)
-    share = reflected / wp.max(total, 1.0e-20)
+    share = reflected / wp.max(mean_component(whole_albedo(albedo)), 1.0e-20)
     follows = share > FOLLOWED_SHARE and reflected > FOLLOWED_ALBEDO
     return wp.where(follows, wp.min(share, FOLLOWED_MOST), 0.0)
 
@@ -104,7 +104,7 @@ def send_over(
 ):
     """Send a ray on over the mirror that it has hit; `weight` is what then arrives of what it meets."""
     n = valid_specular_normal(point.geometric_normal, point.wo, normal)
-    direction = wp.normalize(n * (2.0 * wp.dot(point.wo, n)) - point.wo)
+    direction = wp.normalize(reflect_about(point.wo, n))
     mirrors.state[slot] = FOLLOWED
     mirrors.weight[slot] = wp.vec4(weight[0], weight[1], weight[2], point.ray_length)
     paths.origin[slot] = offset_origin(point.position, point.geometric_normal, point.error, direction)

@@ -16,10 +16,10 @@ from .lamp_hit import FAR
 from .layering import prepare_bsdf
 from .light_linking import note_receiver
 from .packing import rgb
-from .path_guides import GUIDE_MIRRORS, is_sharp, tells_little, whole_albedo
+from .path_guides import GUIDE_MIRRORS, is_sharp, tells_little
 from .paths import ENDED, Paths, has_hit, hit_point
 from .principled import sample_bsdf
-from .reflectance import bsdf_albedo
+from .reflectance import bsdf_albedo, whole_albedo
 from .sampling import (
     DIMENSION_BSDF,
     DIMENSION_FIRST_BOUNCE,
@@ -31,6 +31,7 @@ from .sampling import (
 from .types import HOLDOUT, Bsdf, BsdfSample, Scene, ShadingPoint
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
 
 @wp.func
 def go_on(point: ShadingPoint, sample: BsdfSample, tint: wp.vec3, paths: Paths, path: int):

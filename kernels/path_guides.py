@@ -12,7 +12,7 @@ import warp as wp
 from .geometry_math import mean_component
 from .packing import rgb
 from .paths import Paths, shows_what_it_meets
-from .reflectance import BsdfAlbedo, bsdf_albedo
+from .reflectance import BsdfAlbedo, bsdf_albedo, whole_albedo
 from .types import Bsdf, BsdfSample, Scene, ShadingPoint
 
 # Mirrors and panes of glass that guides look through, one behind the other.
@@ -23,12 +23,6 @@ SHARP = wp.constant(0.15)
 
 # Share of a surface's albedo that sharp lobes must have for paths to go on.
 SHARP_SHARE = wp.constant(0.5)
-
-
-@wp.func
-def whole_albedo(parts: BsdfAlbedo) -> wp.vec3:
-    """Return the sum of all lobes' albedos."""
-    return parts.diffuse + parts.translucent + parts.specular + parts.transmitted
 
 
 @wp.func

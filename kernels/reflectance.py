@@ -66,6 +66,12 @@ class BsdfAlbedo:
 
 
 @wp.func
+def whole_albedo(parts: BsdfAlbedo) -> wp.vec3:
+    """Return the sum of all lobes' albedos."""
+    return parts.diffuse + parts.translucent + parts.specular + parts.transmitted
+
+
+@wp.func
 def diffuse_factor(bsdf: Bsdf, n_dot_o: float) -> wp.vec3:
     """Return the albedo of a diffuse lobe of weight 1: 1 for Lambert, see oren_nayar in diffuse.py."""
     if bsdf.diffuse_b <= 0.0:

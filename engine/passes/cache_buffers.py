@@ -186,7 +186,6 @@ def record_materials(
     """
     found = [paths, mirrors.struct, vertices]
     graph.launch(cache_lean.evaluate_cache_lean, count, [views, scene, world, offset, *what], found)
-
     if left is not None:
         graph.fill_list(compaction.append_left_hits, count, [vertices.emission, offset], left)
         graph.launch_listed(cache_materials.evaluate_cache_materials, [views, scene, *what], left, found, few=True)
