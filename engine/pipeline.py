@@ -341,7 +341,7 @@ class Pipeline:
             graph, parity, kernels_scene, views, rays, count, gbuffer=surfaces, started=True, after=branches,
             phase=phase, **cache_scene)
         if fog is not None:
-            self.fog.record_light(graph, parity, kernels_scene, fog, self.cache.ways, phase)
+            self.fog.record_light(graph, parity, kernels_scene, fog, self.cache.rays.ways, phase)
         graph.join(REPROJECTION, LAMPS)
         shown = {}
         for each in traced:

@@ -2,7 +2,8 @@
 """The hash-grid radiance cache: follows the probes' rays to what they hit and tells the light that comes from there.
 
 GI-1.0 (Boisse et al. 2023), section 4, with all bounces: a share of the hits sends a ray on, whose hit's cell, as of
-the frame before, lights the cell that it came from. Owns the cells and the frame's rays; knows nothing of probes.
+the frame before, lights the cell that it came from. Owns the cells and the order of a frame, whose rays are
+cached_rays.py's; knows nothing of probes.
 """
 
 from __future__ import annotations
@@ -13,44 +14,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...kernels import cache_cells, cache_claim, cache_debug, cache_lights, cache_rays, cache_shade
+from ...kernels import cache_cells, cache_claim, cache_debug, cache_rays, cache_shade
 from ...kernels.cache_mirrors import FOLLOWED_ROUGHNESS
 from ...kernels.environment_split import NO_THRESHOLD
 from ...kernels.fog import Fog
 from ...kernels.gbuffer import GBuffer
-from ...kernels.hash_grid import NO_CELL, HashGrid
+from ...kernels.hash_grid import HashGrid
 from ...kernels.probe_rays import ProbeRays
 from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
-from ..ray_budget import spreading_rays
 from ..settings import CacheSettings
-from ..structures import has_layers
-from ..work_list import WorkList, make_queue, make_work_list
-from .cache_buffers import (
-    COUNTERS,
-    count_rays,
-    make_control,
-    make_grid,
-    make_rays,
-    record_insertion,
-    record_materials,
-    record_shadow_rays,
-    record_sums,
-    threads_race,
-)
-from .cache_spreading import (
-    FURTHER_SHARES,
-    LightPhase,
-    record_coarse_cells,
-    record_continuing,
-    record_spreading,
-    sweeps,
-)
-from .fog_ways import FogWays
-from .layer_rays import record_hits
-from .mirror_rays import MirrorRays
+from ..work_list import WorkList
+from .cache_buffers import COUNTERS, count_rays, make_control, make_grid, threads_race
+from .cache_spreading import LightPhase, record_coarse_cells, record_continuing, record_spreading, sweeps
+from .cached_rays import CachedRays
 
 __all__ = ["RadianceCachePass", "smallest_cell"]
 
@@ -91,17 +70,15 @@ class RadianceCachePass:
         self.capacity = 1 << settings.capacity
         self.grid = make_grid(settings, device)
         self.control = make_control(device)
-        # Cells in use, listed while light goes on within frames.
-        self.live = WorkList(self._zeros(self.capacity, int), self._zeros(1, int))
-        self.pending = self._zeros(1, int)  # frame that has started bounce rays for the next one, plus one
-        self.count = self.bounces = self.settled = -1
-        self.further: tuple[int, ...] = ()  # from where this frame's have ended, and again, while light spreads
-        self._layers, self.mirrors = False, None
-        self.ways: FogWays | None = None  # the fog along all rays
+        self.rays = CachedRays(device, settings, self.grid)
+        self.live = WorkList(self._zeros(self.capacity), self._zeros(1))
+        """Cells in use, listed while light goes on within frames"""
+        self.pending = self._zeros(1)
+        """The frame that has started bounce rays for the next one, plus one"""
         self._views, self._gbuffer = None, {}
 
-    def _zeros(self, count: int, dtype: type) -> wp.array:
-        return wp.zeros(count, dtype=dtype, device=self.device)
+    def _zeros(self, count: int) -> wp.array:
+        return wp.zeros(count, dtype=int, device=self.device)
 
     def resize(self, width: int, height: int) -> None:
         """Take note of the picture's size [px], which debug views and the number of bounce rays depend on."""
@@ -113,33 +90,7 @@ class RadianceCachePass:
             for array in arrays_of(buffers):
                 array.zero_()
         self.control.factors.fill_(wp.vec3(1.0, 1.0, 1.0))
-        if self.count >= 0:
-            self.vertices.cell.fill_(int(NO_CELL))
-
-    def _fit(self, count: int, filtered: bool, mirrors: bool) -> None:
-        """Allocate for so many probe rays."""
-        share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
-        self.settled = math.ceil(share * count)
-        # Room for as many as there are hits: light spreads faster with them after the start and edits.
-        bounces = max(self.settled, spreading_rays(count, self.width, self.height)) if share > 0.0 else 0
-        if (count, bounces, filtered, mirrors) == (self.count, self.bounces, self._layers, bool(self.mirrors)):
-            return
-        self.count, self.bounces, self._layers = count, bounces, filtered
-        # Only where light goes on from cell to cell.
-        sweeps_on = bounces > 0 and self.settings.bounces != 2
-        self.further = tuple(math.ceil(each * bounces) for each in FURTHER_SHARES if sweeps_on)
-        total = count + self.most_bounces
-        self.paths, self.vertices = make_rays(count, self.most_bounces, filtered, self.device)
-        self.queue = make_queue(total if filtered else 1, self.device)
-        self.layered = make_work_list(total if filtered else 1, self.device)
-        self.left, self.lit = make_work_list(total, self.device), make_work_list(total, self.device)
-        """Rays and shadow rays that need the full node machine; all shadow rays"""
-        self.mirrors = MirrorRays(self.paths, total if mirrors else 0, self.queue, self.layered, self.device)
-
-    @property
-    def most_bounces(self) -> int:
-        """Slots of bounce rays; frames while light spreads need them all, others the first `bounces`."""
-        return self.bounces + sum(self.further)
+        self.rays.forget()
 
     def cells(self, minimum_cell: float) -> HashGrid:
         """Return the cells for rays of other passes, with the smallest size [m] set (see smallest_cell).
@@ -179,47 +130,46 @@ class RadianceCachePass:
             fog: What is along the rays; None: nothing.
             polished: Least roughness of surfaces that mostly reflect (Reflectors).
         """
-        self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog, polished)
+        own = self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog, polished)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
-        total = count + self.most_bounces
-        with graph.slots(0, count, total):
+        with graph.slots(0, count, own.total):
             with graph.section("Cache rays"):
-                graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [self.paths])
-                self._record_hits(graph, scene, 0, count)
-            self._record_materials(graph, scene, views, 0, count, threshold)
+                graph.launch(cache_rays.load_probe_rays, count, [views, rays, int(filtered)], [own.paths])
+                own.record_hits(graph, scene, 0, count)
+            own.record_materials(graph, scene, views, 0, count, threshold)
             # Others may make cells and add samples while this goes on, unless their order is to be fixed.
             if self.deterministic:
                 graph.join(*after)
             if not started:
                 self.record_start(graph, views, phase)
-            self._record_insertion(graph, views, 0, count)
-        bounces = 0 if settled else self.bounces
+            own.record_insertion(graph, views, 0, count, deterministic=self.deterministic)
+        bounces = 0 if settled else own.bounces
         if bounces > 0:
             self._record_start(graph, views, settled=False)
             self._record_bounces(graph, scene, views, threshold, 0, bounces)
         if phase is LightPhase.SWEEPING:
             bounces = self._record_further(graph, scene, views, threshold)
-        with graph.slots(0, count + bounces, total):
-            self._record_lights(graph, scene, views, programs, 0, count + bounces, settled=settled)
+        with graph.slots(0, count + bounces, own.total):
+            own.record_lights(graph, scene, views, 0, count + bounces, programs=programs, settled=settled)
         self._record_cells(graph, views, rays, after, phase, bounces)
-        if settled and self.bounces > 0:
+        if settled and own.bounces > 0:
             # Beside all that follows.
             with graph.branch(BOUNCES):
-                with graph.section("Cache cells"), graph.slots(count, self.bounces, total):
-                    self._record_sums(graph, views, count, self.bounces)
+                with graph.section("Cache cells"), graph.slots(count, own.bounces, own.total):
+                    own.record_sums(graph, views, count, own.bounces)
                 self._record_start(graph, views, settled=True)
 
     def _take(
         self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
         world: wp.array | None, fog: Fog | None, polished: float,
-    ) -> None:
-        """Take in what a record needs to know, and allocate for it."""
-        self._all_lean, self._lean_layers = all_lean, lean_layers
-        self._world = self._zeros(1, wp.vec3) if world is None else world
+    ) -> CachedRays:
+        """Take in what a record needs to know, and allocate for it; return the rays."""
         self.grid.minimum = minimum_cell
-        self._fit(count, filtered, self.settings.follow_mirrors and polished < FOLLOWED_ROUGHNESS)
-        self.ways = fog and FogWays.make(fog, self.count + self.most_bounces, self.device, self.ways)
+        mirrors = self.settings.follow_mirrors and polished < FOLLOWED_ROUGHNESS
+        self.rays.fit(count, (self.width, self.height), layers=filtered, mirrors=mirrors)
+        self.rays.take(world, fog, all_lean=all_lean, lean_layers=lean_layers)
+        return self.rays
 
     def record_pending(
         self, graph: FrameGraph, scene: Scene, views: wp.array, phase: LightPhase, count: int, *, threshold: float,
@@ -230,19 +180,19 @@ class RadianceCachePass:
         Comes before `record`, on a branch of its own that waits for branch `after`, where record_start is; `record`
         goes on with it: their light is for the next frame. Other arguments as of `record`.
         """
-        self._take(count, **what)
-        if self.bounces == 0 or not self.is_settled(phase):
+        own = self._take(count, **what)
+        if own.bounces == 0 or not self.is_settled(phase):
             return
-        with graph.branch(BOUNCES), graph.slots(count, self.bounces, count + self.most_bounces):
+        with graph.branch(BOUNCES), graph.slots(count, own.bounces, own.total):
             graph.join(after)
             with graph.section("Cache bounces"):
                 graph.launch(
-                    cache_rays.resume_bounces, self.bounces, [views, self.pending, count], [self.paths, self.vertices])
-            self._record_bounces(graph, scene, views, threshold, 0, self.bounces)
-            self._record_lights(graph, scene, views, programs, count, self.bounces, settled=True)
+                    cache_rays.resume_bounces, own.bounces, [views, self.pending, count], [own.paths, own.vertices])
+            self._record_bounces(graph, scene, views, threshold, 0, own.bounces)
+            own.record_lights(graph, scene, views, count, own.bounces, programs=programs, settled=True)
             with graph.section("Cache cells"):
-                self._record_gathering(graph, views, self.bounces)
-                record_coarse_cells(graph, views, self.grid, self.control, self.vertices, self.bounces)
+                self._record_gathering(graph, views, own.bounces)
+                record_coarse_cells(graph, views, self.grid, self.control, own.vertices, own.bounces)
 
     def is_settled(self, phase: LightPhase) -> bool:
         """Return whether cells take the light of bounce rays and of other passes' hits in the frame after.
@@ -264,122 +214,80 @@ class RadianceCachePass:
                 cache_cells.purge_cells, self.capacity // share, [views, self.capacity, self.settings.lifetime],
                 [self.grid, self.control], banded=False)
 
-    def _record_hits(self, graph: FrameGraph, scene: Scene, offset: int, count: int) -> None:
-        """Record finding the hits of `count` rays from slot `offset` on."""
-        record_hits(
-            graph, scene, self.paths, offset, count, self.queue, self.layered, filtered=has_layers(scene),
-            lean=self._lean_layers, through=True)
-
-    def _record_materials(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, offset: int, count: int, threshold: float,
-    ) -> None:
-        """Record what the hits of `count` rays from slot `offset` on are made of."""
-        with graph.section("Cache materials"):
-            left = None
-            if not self._all_lean or (scene.environment.constant == 0 and len(self._world) == 1):
-                left = self.left.part(offset, count)
-            what = [int(offset > 0), self.grid.weighed, threshold, int(self._layers)]
-            record_materials(graph, scene, views, self.paths, self.vertices, self._world, offset, count, what, left,
-                             self.ways, self.mirrors, self._lean_layers)
-
-    def _record_insertion(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
-        """Record finding or making the cells of the hits of `count` rays from slot `offset` on."""
-        with graph.section("Cache cells"):
-            record_insertion(
-                graph, views, self.paths, self.vertices, self.grid, offset, count, deterministic=self.deterministic)
-
     def _record_start(self, graph: FrameGraph, views: wp.array, *, settled: bool) -> None:
         """Record sending rays on from the probes' hits."""
+        own = self.rays
         with graph.section("Cache bounces"):
             graph.launch(
-                cache_rays.start_bounces, self.bounces,
-                [views, self.grid, self.count, self.bounces, self.settled, int(self._layers), int(settled)],
-                [self.paths, self.vertices, self.pending])
+                cache_rays.start_bounces, own.bounces,
+                [views, self.grid, own.count, own.bounces, own.settled, int(own.layers), int(settled)],
+                [own.paths, own.vertices, self.pending])
 
     def _record_bounces(
         self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float, begin: int, count: int,
     ) -> None:
         """Record following `count` bounce rays that have been started, from `begin` on, up to their hits' cells."""
-        first = self.count + begin
+        own = self.rays
+        first = own.count + begin
         with graph.section("Cache bounces"):
-            self._record_hits(graph, scene, first, count)
-        self._record_materials(graph, scene, views, first, count, threshold)
-        self._record_insertion(graph, views, first, count)
+            own.record_hits(graph, scene, first, count)
+        own.record_materials(graph, scene, views, first, count, threshold)
+        own.record_insertion(graph, views, first, count, deterministic=self.deterministic)
 
     def _record_further(self, graph: FrameGraph, scene: Scene, views: wp.array, threshold: float) -> int:
         """Record sending rays on from where bounce rays have ended; return how many bounce rays there are in all."""
-        begin, width = 0, self.bounces
-        for further in self.further:
+        own = self.rays
+        begin, width = 0, own.bounces
+        for further in own.further:
             with graph.section("Cache bounces"):
                 record_continuing(
-                    graph, views, self.grid, self.paths, self.vertices, self.count, begin, width, further,
-                    int(self._layers))
+                    graph, views, self.grid, own.paths, own.vertices, own.count, begin, width, further,
+                    int(own.layers))
             begin, width = begin + width, further
             self._record_bounces(graph, scene, views, threshold, begin, width)
         return begin + width
-
-    def _record_lights(
-        self, graph: FrameGraph, scene: Scene, views: wp.array, programs: bool, offset: int, count: int, *,
-        settled: bool,
-    ) -> None:
-        """Record direct light at the hits of `count` rays from slot `offset` on."""
-        if scene.lights.class_count == 0:
-            # Black samples: nothing else writes them.
-            self.paths.radiance.zero_()
-            self.paths.shadow_distance.zero_()
-            return
-        with graph.section("Cache lights"):
-            graph.launch(
-                cache_lights.choose_cache_lights, count,
-                [views, scene, self._world, self.vertices, self.grid,
-                 float(self.settings.sample_cap if settled else math.inf)], [self.paths], start=offset)
-        with graph.section("Cache shadow rays"):
-            record_shadow_rays(
-                graph, views, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,
-                filtered=has_layers(scene), lean_layers=self._lean_layers, programs=programs,
-                fog=self.ways and self.ways.fog)
 
     def _record_cells(
         self, graph: FrameGraph, views: wp.array, rays: ProbeRays, after: tuple[str, ...], phase: LightPhase,
         bounces: int,
     ) -> None:
         """Record taking the light into the cells, also that of `bounces` bounce rays, and the answer."""
-        grid, control, settings = self.grid, self.control, self.settings
+        grid, control, settings, own = self.grid, self.control, self.settings, self.rays
         sweeping, settled = phase is LightPhase.SWEEPING, self.is_settled(phase)
         with graph.section("Cache cells"):
             if settled:
-                with graph.slots(0, self.count, self.count + self.most_bounces):
-                    self._record_sums(graph, views, 0, self.count)
+                with graph.slots(0, own.count, own.total):
+                    own.record_sums(graph, views, 0, own.count)
                     self._record_answer(graph, views, rays)
                 return
             if bounces > 0:
                 self._record_gathering(graph, views, bounces)
             if self.deterministic and bounces > 0:
-                graph.launch(cache_claim.claim_coarse, bounces, [self.vertices], [grid], banded=False)
+                graph.launch(cache_claim.claim_coarse, bounces, [own.vertices], [grid], banded=False)
                 graph.launch(cache_claim.settle_cells, self.capacity, [], [grid], banded=False)
             if bounces > 0:
                 record_spreading(
-                    graph, views, grid, control, self.paths, self.vertices, self.live, self.count, bounces,
+                    graph, views, grid, control, own.paths, own.vertices, self.live, own.count, bounces,
                     float(settings.sample_cap), all_bounces=sweeping and settings.bounces != 2)
-            self._record_sums(graph, views, 0, self.count + bounces)
+            own.record_sums(graph, views, 0, own.count + bounces)
             graph.join(*after)
             self._record_answer(graph, views, rays)
 
     def _record_gathering(self, graph: FrameGraph, views: wp.array, bounces: int) -> None:
+        """Record collecting what `bounces` bounce rays bring to the cells that they came from."""
+        own = self.rays
         graph.launch(
             cache_shade.gather_bounces, bounces,
-            [views, self.grid, self.paths, self.count, int(self.settings.bounces != 2)], [self.vertices])
-
-    def _record_sums(self, graph: FrameGraph, views: wp.array, offset: int, count: int) -> None:
-        record_sums(graph, views, self.paths, self.vertices, self.grid, offset, count, self.count)
+            [views, self.grid, own.paths, own.count, int(self.settings.bounces != 2)], [own.vertices])
 
     def _record_answer(self, graph: FrameGraph, views: wp.array, rays: ProbeRays) -> None:
-        grid, settings = self.grid, self.settings
+        """Record taking sums into the cells' means, and telling the probes' rays what they meet."""
+        grid, settings, own = self.grid, self.settings, self.rays
         graph.launch(
             cache_cells.update_cells, self.capacity, [views, float(settings.sample_cap)], [grid, self.control])
         graph.launch(
-            cache_shade.resolve_rays, self.count,
-            [views, grid, self.paths, self.vertices, int(settings.cone_test)], [rays])
+            cache_shade.resolve_rays, own.count,
+            [views, grid, own.paths, own.vertices, int(settings.cone_test)], [rays])
 
     def record_debug(self, graph: FrameGraph, parity: int, name: str, picture: wp.array) -> None:
         """Record drawing one of `debug_views` into `picture`, vec4 a pixel; record() must have got the G-buffer."""
@@ -391,10 +299,10 @@ class RadianceCachePass:
 
     def stats(self) -> dict[str, int]:
         """Return the last frame's counts; waits for the device."""
-        counters = np.zeros(int(cache_cells.COUNTERS), np.int64)
-        if self.count >= 0:
-            bounces = self.most_bounces if sweeps(self._views) else self.bounces
-            counters = count_rays(self.paths, self.vertices, self.grid, self.count, self.control, self.count + bounces)
+        own, counters = self.rays, np.zeros(int(cache_cells.COUNTERS), np.int64)
+        if own.count >= 0:
+            bounces = own.most_bounces if sweeps(self._views) else own.bounces
+            counters = count_rays(own.paths, own.vertices, self.grid, own.count, self.control, own.count + bounces)
         counts = {name: int(counters[int(index)]) for name, index in COUNTERS.items()}
         counts |= {"cells live": int(self.grid.live.numpy()[0]), "cells": self.capacity}
-        return counts | {"rays over mirrors": self.mirrors.followed() if self.mirrors else 0}
+        return counts | {"rays over mirrors": own.mirrors.followed() if own.mirrors else 0}

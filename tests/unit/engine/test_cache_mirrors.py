@@ -101,5 +101,5 @@ def test_scenes_without_mirrors_have_no_such_rays():
         launched = {kernel for graph in session.pipeline._graphs.values() for _, kernel in graph[0].launch_list()}
         assert bool(launched & KERNELS) == expected
         assert (session.counts()["cache rays over mirrors"] > 100) == expected
-        assert (len(session.pipeline.cache.mirrors.struct.state) > 0) == expected
+        assert (len(session.pipeline.cache.rays.mirrors.struct.state) > 0) == expected
         session.close()

@@ -164,7 +164,7 @@ def test_cache_vertices_agree(device):
         rng = np.random.default_rng(1)
         origin = np.stack([rng.uniform(-3.5, 3.5, 1024), rng.uniform(-1, 1, 1024), np.full(1024, 3.0)], -1)
         rig.frame(origin, np.tile([0.0, 0.0, -1.0], (1024, 1)))
-        vertices = rig.cache.vertices
+        vertices = rig.cache.rays.vertices
         names = ("reflectance", "emission", "normal")
         found.append({name: getattr(vertices, name).numpy()[:1024].copy() for name in names})
     lean, full = found

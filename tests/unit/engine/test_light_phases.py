@@ -105,8 +105,9 @@ def test_known_cells_are_watched_in_turns(settled):
     cache = made._realtime.pipeline.cache
 
     def unwatched():
-        cells = cache.vertices.cell.numpy()[:cache.count]
-        return cells, cache.paths.radiance.numpy()[:cache.count, 3] == float(UNWATCHED)
+        rays = cache.rays
+        cells = rays.vertices.cell.numpy()[:rays.count]
+        return cells, rays.paths.radiance.numpy()[:rays.count, 3] == float(UNWATCHED)
 
     cells, without = unwatched()
     known = cells[cells != NO_CELL]
@@ -120,7 +121,7 @@ def test_bounce_rays_are_followed_once(settled):
     """Leave bounce rays to the next frame alone: after one that follows its own none is followed again."""
     made, _ = settled
     pipeline, views = made._realtime.pipeline, made._realtime.views
-    cache, pending = pipeline.cache, pipeline.cache.pending
+    rays, pending = pipeline.cache.rays, pipeline.cache.pending
     assert pending.numpy()[0] == views.frame + 1
     moved = room().instances
     moved.transforms[1, 0, 3] += 0.1
@@ -128,16 +129,16 @@ def test_bounce_rays_are_followed_once(settled):
     fly(made, 1, 400)
     assert pending.numpy()[0] == 0
     # Those after them are of the first frames alone.
-    own = slice(cache.count, cache.count + cache.bounces)
-    assert (cache.vertices.source.numpy()[:cache.bounces] != NO_CELL).any()
-    assert (cache.paths.state.numpy()[own] != ENDED).any()
+    own = slice(rays.count, rays.count + rays.bounces)
+    assert (rays.vertices.source.numpy()[:rays.bounces] != NO_CELL).any()
+    assert (rays.paths.state.numpy()[own] != ENDED).any()
     graph = FrameGraph(made.device)
-    graph.launch(resume_bounces, cache.bounces, [views.array, pending, cache.count], [cache.paths, cache.vertices])
+    graph.launch(resume_bounces, rays.bounces, [views.array, pending, rays.count], [rays.paths, rays.vertices])
     for frame, followed in ((views.frame, True), (views.frame + 1, False)):
         pending.fill_(frame)
         graph.replay()
-        assert (cache.vertices.source.numpy()[:cache.bounces] != NO_CELL).any() == followed
-        assert (cache.paths.state.numpy()[own] != ENDED).any() == followed
+        assert (rays.vertices.source.numpy()[:rays.bounces] != NO_CELL).any() == followed
+        assert (rays.paths.state.numpy()[own] != ENDED).any() == followed
 
 
 def test_edit_of_light_leaves_nothing_behind(settled):

@@ -121,7 +121,7 @@ def test_rays_walk_through_what_varies_alone():
     assert {"dim_cache_rays", "add_fog_light"} <= kernels["even"]
     assert kernels["varying"] - kernels["even"] == {"walk_cache_rays"}
     # What they have found is asked for its light once the fog knows this frame's.
-    ways = session.pipeline.cache.ways.ways
+    ways = session.pipeline.cache.rays.ways.ways
     assert (ways.varies.numpy() == 1).any() and ways.weight.numpy().max() > 0.0
 
 
