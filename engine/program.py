@@ -74,6 +74,7 @@ class ProgramBuilder:
         """Start an empty program."""
         self.values: list[Value] = []
         self.known: dict[tuple, Value] = {}
+        self.numbers: dict[float, Value] = {}
         self.sinks: list[Sink] = []
         self.ramps: list[bytes] = []
         self.images: list[Hashable] = []
@@ -89,7 +90,9 @@ class ProgramBuilder:
         if isinstance(value, Value):
             return value
         if isinstance(value, (int, float)):
-            value = (value, value, value)
+            if value not in self.numbers:
+                self.numbers[value] = self.constant((value, value, value))
+            return self.numbers[value]
         components = tuple(float(x) if math.isfinite(x) else 0.0 for x in value)
         constant = (components + (0.0,))[:4]
         return self._intern(Value(len(self.values), -1, 0, (), (), constant))
@@ -105,7 +108,7 @@ class ProgramBuilder:
     def _add(self, op: int, sub: int, args: Sequence, immediates: tuple[int, ...] = ()) -> Value:
         """Return the value of an operation, folded where all its operands are constant."""
         operands = [self.constant(arg) for arg in args]
-        constants = [operand.constant for operand in operands]
+        constants = tuple(operand.constant for operand in operands)
         if None not in constants:
             folded = fold(op, sub, constants)
             if folded is not None:

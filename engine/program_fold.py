@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import warp as wp
 
 from ..kernels import node_codes as codes
@@ -15,8 +17,12 @@ __all__ = ["fold"]
 Vec4 = tuple[float, float, float, float]
 
 
-def fold(op: int, sub: int, operands: list[Vec4]) -> Vec4 | None:
-    """Return an operation's constant result by calling the kernel's own function, None where that can't be done."""
+@functools.lru_cache(maxsize=4096)
+def fold(op: int, sub: int, operands: tuple[Vec4, ...]) -> Vec4 | None:
+    """Return an operation's constant result by calling the kernel's own function, None where that can't be done.
+
+    Known ones are kept: Warp takes 0.2 ms to find a function for a call from Python, and materials repeat each other.
+    """
     vectors = [wp.vec3(*operand[:3]) for operand in operands]
     try:
         if op == codes.OP_MATH:

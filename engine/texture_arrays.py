@@ -23,6 +23,9 @@ from .texture_budget import TextureSize
 
 __all__ = ["TextureArrays"]
 
+SMALL_TEXELS = 1 << 16
+"""Levels of fewer texels go to the device together: each copy by itself takes as long as 64 KiB"""
+
 FORMATS = {
     TEXELS_BYTE: ("bytes4", wp.uint32),
     TEXELS_SHORT: ("shorts4", wp.vec4us),
@@ -141,8 +144,7 @@ class TextureArrays:
     def _write(self, offset: int, texels: Texels, array: wp.array) -> _Place:
         """Copy an image's levels to the device and return its place."""
         dtype, start = FORMATS[texels.format][1], offset
-        for level in texels.levels:
-            flat = level.reshape(-1, 4)
+        for flat in _joined([level.reshape(-1, 4) for level in texels.levels]):
             flat = flat.view(np.uint32).ravel() if texels.format == TEXELS_BYTE else flat
             wp.copy(array, host_array(flat, dtype), dest_offset=start, count=len(flat))
             start += len(flat)
@@ -167,6 +169,13 @@ class TextureArrays:
                 setattr(textures, name, self._arrays[form])
             self._struct = textures
         return self._struct
+
+
+def _joined(levels: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the texels [N, 4] of levels, the largest first, with those of small ones in one array."""
+    large = [level for level in levels if len(level) >= SMALL_TEXELS]
+    small = levels[len(large):]
+    return large + ([np.concatenate(small)] if small else [])
 
 
 def _alike(place: _Place, texels: Texels) -> bool:

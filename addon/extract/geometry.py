@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...engine.report import Report
-from ...engine.sanitize import SanitizeCounts, report_counts, sanitize_mesh
+from ...engine.sanitize import SanitizeCounts, report_counts, sanitize_meshes
 from ...engine.scene import MeshData
 from ...engine.stored_mesh import StoredMesh
 from .hair import extract_curves
@@ -22,8 +22,11 @@ from .volume_object import extract_volume
 
 __all__ = ["materials_of_hair", "read_clean", "read_geometry", "read_positions"]
 
-THREADS_MAX = 8
-"""Meshes made ready at the same time at most"""
+THREADS_MAX = 4
+"""Threads that make meshes ready at most"""
+BATCH = 1 << 16
+"""Corners of faces from which on meshes are handed to one: with each small mesh by itself threads wait for Python's
+lock"""
 
 
 def _copy_geometry(source: Source, report: Report, derived: frozenset[str]) -> MeshData | StoredMesh:
@@ -48,8 +51,13 @@ def _by_triangles(geometry: MeshData | StoredMesh) -> MeshData:
     return geometry.by_triangles() if isinstance(geometry, StoredMesh) else geometry
 
 
-def _clean(geometry: MeshData | StoredMesh) -> tuple[MeshData, SanitizeCounts]:
-    return sanitize_mesh(_by_triangles(geometry))
+def _corner_count(geometry: MeshData | StoredMesh) -> int:
+    return len(geometry.corner_vertices) if isinstance(geometry, StoredMesh) else 3 * len(geometry.triangles)
+
+
+def _clean(batch: dict[int, MeshData | StoredMesh]) -> dict[int, tuple[MeshData, SanitizeCounts]]:
+    """Make meshes ready, by key."""
+    return dict(zip(batch, sanitize_meshes([_by_triangles(geometry) for geometry in batch.values()]), strict=True))
 
 
 def read_geometry(source: Source, report: Report, derived: frozenset[str] = frozenset()) -> MeshData:
@@ -74,11 +82,15 @@ def read_clean(sources: dict[int, Source], reports: dict[int, Report], derived: 
         step: Called before each with a text and the share done; may raise.
     """
     with ThreadPoolExecutor(min(os.cpu_count() or 1, THREADS_MAX), thread_name_prefix="burnish meshes") as pool:
-        cleaning = {}
+        cleaning, batch, corners = [], {}, 0
         for number, (key, source) in enumerate(sources.items()):
             step(f"Reading mesh '{source.name}'", number / len(sources))
-            cleaning[key] = pool.submit(_clean, _copy_geometry(source, reports[key], derived[key]))
-        cleaned = {key: job.result() for key, job in cleaning.items()}
+            batch[key] = _copy_geometry(source, reports[key], derived[key])
+            corners += _corner_count(batch[key])
+            if corners >= BATCH or number == len(sources) - 1:
+                cleaning.append(pool.submit(_clean, batch))
+                batch, corners = {}, 0
+        cleaned = {key: found for job in cleaning for key, found in job.result().items()}
     for key, (_, found) in cleaned.items():
         report_counts(reports[key], f"object '{sources[key].name}'", found)
     return {key: data for key, (data, _) in cleaned.items()}

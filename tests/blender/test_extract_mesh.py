@@ -158,3 +158,24 @@ finish(editing=describe(editing), counts=counts, edited=describe(edited), after=
     assert result["editing"] == [[2, ["Map"]]] * result["counts"]
     assert [8, ["Map"]] in result["edited"], "an edit shows before edit mode is left"
     assert result["after"] == [[8, ["Map"]]] and result["instances"] == 2
+
+
+def test_corners_are_copied_as_they_lie_in_memory(run_extraction):
+    """Copy the corners of many triangles at once; leave it where they lie otherwise, or are others, in memory."""
+    result = run_extraction(r'''
+import bmesh, types
+from burnish.addon.extract.mesh import _copy_corners
+mesh = bpy.data.meshes.new("Grid")
+build = bmesh.new(); bmesh.ops.create_grid(build, x_segments=9, y_segments=7, size=1); build.to_mesh(mesh)
+mesh.calc_loop_triangles()
+expected = np.empty(3 * len(mesh.loop_triangles), np.int32)
+mesh.loop_triangles.foreach_get("loops", expected)
+found = _copy_corners(mesh.loop_triangles)
+others = list(mesh.loop_triangles)
+others[1], others[2] = others[2], others[1]
+wrong = [types.SimpleNamespace(as_pointer=each.as_pointer, loops=(0, 0, 0)) for each in mesh.loop_triangles]
+finish(same=found is not None and found.tolist() == expected.tolist(), count=len(expected),
+       elsewhere=_copy_corners(others) is None, wrong=_copy_corners(wrong) is None)
+''')
+    assert result["same"] and result["count"] == 3 * 2 * 63
+    assert result["elsewhere"] and result["wrong"]

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from burnish.engine.device import load_module, start_warp
 from burnish.engine.report import Report
-from burnish.engine.sanitize import COORDINATE_LIMIT, SanitizeCounts, has_defects, report_counts, sanitize_mesh
+from burnish.engine.sanitize import (
+    COORDINATE_LIMIT,
+    SanitizeCounts,
+    has_defects,
+    report_counts,
+    sanitize_mesh,
+    sanitize_meshes,
+)
 from burnish.engine.scene import MeshData
 from burnish.kernels.mesh_checks import find_defects
 
@@ -178,3 +185,65 @@ def test_slots_stay_in_a_range_that_float32_holds():
     assert cleaned.material_slots[:2].tolist() == [0, 0] and cleaned.material_slots[4:].tolist() == [4, 5, 6, 7]
     assert (cleaned.material_slots.astype(np.float32).astype(np.int64) == cleaned.material_slots).all()
     assert (cleaned.material_slots[2:4] > 2**20).all()
+
+
+def without_triangles():
+    """Return a mesh of loose vertices."""
+    mesh = grid(3)
+    mesh.triangles, mesh.material_slots = mesh.triangles[:0], mesh.material_slots[:0]
+    mesh.corner_normals, mesh.uv_maps, mesh.attributes = mesh.corner_normals[:0], {}, {}
+    return mesh
+
+
+def names_another_s_vertex(mesh):
+    """Name a vertex that only the next mesh has."""
+    mesh.triangles[3, 1] = len(mesh.positions)
+
+
+def has_no_normal(mesh):
+    """Have a corner without a normal."""
+    mesh.corner_normals[2, 1] = 0.0
+
+
+def has_no_area(mesh):
+    """Have a triangle without area."""
+    mesh.triangles[1] = mesh.triangles[1, 0]
+
+
+def has_no_place(mesh):
+    """Have a vertex that is nowhere, and an infinite one."""
+    mesh.positions[4], mesh.positions[5, 0] = np.nan, np.inf
+
+
+def has_bad_coordinates(mesh):
+    """Have a texture coordinate and a colour that are not finite."""
+    mesh.uv_maps["UV"][0, 0, 0], mesh.attributes["Color"][1, 2, 3] = np.nan, np.inf
+
+
+BREAKS = [names_another_s_vertex, has_no_normal, has_no_area, has_no_place, has_bad_coordinates]
+
+
+def test_good_meshes_are_returned_as_they_are():
+    """Return the very same objects where nothing is wrong with any of them."""
+    meshes = [grid(5), without_triangles(), grid(2)]
+    assert all(found is mesh and counts == SanitizeCounts()
+               for mesh, (found, counts) in zip(meshes, sanitize_meshes(meshes), strict=True))
+    assert sanitize_meshes([]) == []
+
+
+@pytest.mark.parametrize("spoil", BREAKS)
+def test_meshes_together_are_cleaned_as_each_is(spoil):
+    """Find in any of several meshes what is found in it by itself, and leave the others as they are."""
+    for place in range(3):
+        meshes = [grid(5), grid(4), grid(6)]
+        spoil(meshes[place])
+        alone, alone_counts = sanitize_mesh(meshes[place])
+        assert alone_counts != SanitizeCounts()
+        for index, (found, counts) in enumerate(sanitize_meshes(meshes)):
+            if index != place:
+                assert found is meshes[index] and counts == SanitizeCounts()
+                continue
+            assert counts == alone_counts
+            for name in ("positions", "triangles", "material_slots", "corner_normals"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+            np.testing.assert_array_equal(found.uv_maps["UV"], alone.uv_maps["UV"])
