@@ -22,11 +22,10 @@ from .volume_object import extract_volume
 
 __all__ = ["materials_of_hair", "read_clean", "read_geometry", "read_positions"]
 
-THREADS_MAX = 4
-"""Threads that make meshes ready at most"""
-BATCH = 1 << 16
-"""Corners of faces from which on meshes are handed to one: with each small mesh by itself threads wait for Python's
-lock"""
+THREADS_MAX = 2
+"""Threads that make meshes ready at most: they keep up with what reads them, and more wait for Python's lock"""
+BATCH = 1 << 17
+"""Corners of faces from which on meshes are handed to a thread: small ones one by one wait for that lock, too"""
 
 
 def _copy_geometry(source: Source, report: Report, derived: frozenset[str]) -> MeshData | StoredMesh:
