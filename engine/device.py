@@ -21,6 +21,7 @@ import numpy as np
 import warp as wp
 
 from .errors import BurnishError, DeviceUnavailable, OutOfDeviceMemory
+from .function_hashes import share_function_hashes
 from .kernel_cache import chosen_folder
 from .settings import Device
 
@@ -126,6 +127,7 @@ def start_warp() -> None:
                 wp.init()
         except Exception as error:
             raise DeviceUnavailable(f"NVIDIA Warp could not be started ({error}); reinstall the extension.") from error
+        share_function_hashes()
         _started = True
 
 
