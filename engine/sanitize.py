@@ -26,6 +26,9 @@ __all__ = [
 COORDINATE_LIMIT = 1e9
 """Largest coordinate drawn [m]: beyond it float32 resolves no less than 64 m"""
 
+SMALL_TRIANGLES = 1 << 13
+"""Triangles up to which a mesh is small"""
+
 _BLOCK = 1 << 14
 # Kernels read slots beside positions, as float32, which holds the numbers up to here (Blender's limit is 32,767).
 _SLOT_MAX = (1 << 24) - 1
@@ -82,13 +85,14 @@ def sanitize_mesh(mesh: MeshData) -> tuple[MeshData, SanitizeCounts]:
 
 
 def sanitize_meshes(meshes: Sequence[MeshData]) -> list[tuple[MeshData, SanitizeCounts]]:
-    """Return what `sanitize_mesh` does of each, after one look at all of them together.
+    """Return what `sanitize_mesh` does of each, after one look at all small ones together.
 
-    For many small meshes, of which each look takes longer than what it looks at.
+    Of these the call takes longer than the look; large ones would be copied for it.
     """
-    if len(meshes) > 1 and is_loaded(find_defects, "cpu") and not _any_has_defects(meshes):
-        return [(mesh, SanitizeCounts()) for mesh in meshes]
-    return [sanitize_mesh(mesh) for mesh in meshes]
+    small = [mesh for mesh in meshes if len(mesh.triangles) <= SMALL_TRIANGLES]
+    good = len(small) > 1 and is_loaded(find_defects, "cpu") and not _any_has_defects(small)
+    return [(mesh, SanitizeCounts()) if good and len(mesh.triangles) <= SMALL_TRIANGLES else sanitize_mesh(mesh)
+            for mesh in meshes]
 
 
 def _any_has_defects(meshes: Sequence[MeshData]) -> bool:

@@ -232,8 +232,10 @@ def test_good_meshes_are_returned_as_they_are():
 
 
 @pytest.mark.parametrize("spoil", BREAKS)
-def test_meshes_together_are_cleaned_as_each_is(spoil):
+@pytest.mark.parametrize("small", [100, 40])
+def test_meshes_together_are_cleaned_as_each_is(monkeypatch, spoil, small):
     """Find in any of several meshes what is found in it by itself, and leave the others as they are."""
+    monkeypatch.setattr("burnish.engine.sanitize.SMALL_TRIANGLES", small)
     for place in range(3):
         meshes = [grid(5), grid(4), grid(6)]
         spoil(meshes[place])

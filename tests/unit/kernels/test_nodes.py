@@ -238,7 +238,7 @@ def test_machine_agrees_with_folding(device: str):
     for name in names:
         family, operation = name.split("_", 1)
         op = codes.OP_MATH if family == "MATH" else codes.OP_MIX
-        operands = [(x, x, x, 0.0) for x in (1.0, 0.7, 0.4)]
+        operands = tuple((x, x, x, 0.0) for x in (1.0, 0.7, 0.4))
         expected = fold(op, getattr(codes, name), operands)
         if expected is None:
             continue
