@@ -133,6 +133,7 @@ from ..kernels import (
     reflection_lean,
     reflection_materials,
     reflection_media,
+    reflection_movers,
     reflection_place,
     reflection_probes,
     reflection_refract,
@@ -196,8 +197,9 @@ KERNEL_MODULES = (
     hair_light, hair_lean, hair_full, layers_lean, shadow_layers_lean, reflection_place, reflection_choice,
     reflection_debug, reflection_filter_debug,
     reflection_choice_glossy, reflection_resolve_glossy,
-    reflection_trace, reflection_lamps, reflection_screen, reflection_resolve, reflection_start, reflection_probes,
-    reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale, reflection_temporal, reflection_lean,
+    reflection_trace, reflection_movers, reflection_lamps, reflection_screen, reflection_resolve, reflection_start,
+    reflection_probes, reflection_blocks, reflection_cleanup, reflection_atrous, reflection_upscale,
+    reflection_temporal, reflection_lean,
     reflection_refract, gather_start, gather_further, reflection_tail, reflection_materials, light_groups, light_shares,
     subsurface_walk, denoise_guides, denoise_guides_lean, reference_film, reference_lean, reference_plain,
     reference_subsurface, reference_hair, reference_hair_lean, materials_hair, first_hits, media_march, media_scatter,
@@ -226,9 +228,9 @@ EVERY_FRAME = (
     rest_lonely,
     world_split, direct_candidates, direct_shade, cache_lean, cache_materials, gbuffer_lean, gbuffer_materials,
     gather_start, gather_further, reflection_atrous, reflection_blocks, reflection_choice, reflection_choice_glossy,
-    reflection_cleanup, reflection_lamps, reflection_lean, reflection_materials, reflection_place, reflection_probes,
-    reflection_resolve, reflection_resolve_glossy, reflection_screen, reflection_start, reflection_tail,
-    reflection_temporal, reflection_upscale,
+    reflection_cleanup, reflection_lamps, reflection_lean, reflection_materials, reflection_movers, reflection_place,
+    reflection_probes, reflection_resolve, reflection_resolve_glossy, reflection_screen, reflection_start,
+    reflection_tail, reflection_temporal, reflection_upscale,
 )
 """What most scenes need besides in real-time frames on a processor"""
 

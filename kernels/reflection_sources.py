@@ -25,11 +25,18 @@ from .long_mean import (
     unpack_mean,
     valid_tap,
 )
-from .packed_halves import unpack_halves
+from .packed_halves import unpack_halves, unpack_pair
 from .packing import rgb
 from .reflection_blocks import ReflectionHistory, light_strength
 from .reflection_images import MirrorBefore, image_position, image_stretch, mirror_before
-from .reflection_types import LOBE_REFLECTION, SAMPLE_FAR, ReflectionOptions, fading
+from .reflection_types import (
+    LOBE_REFLECTION,
+    SAMPLE_FAR,
+    ReflectionOptions,
+    ReflectionSamples,
+    block_of,
+    fading,
+)
 from .reprojection import Reprojection, has_moved, has_tap, known_taps, tap_pixel
 from .view import (
     SKY_DEPTH,
@@ -213,7 +220,8 @@ def blended(surface: ReflectionMean, image: ReflectionMean, share: float) -> Ref
 @wp.func
 def gather_sources(
     views: wp.array[View], gbuffer: GBuffer, previous: GBuffer, reprojection: Reprojection, options: ReflectionOptions,
-    history: ReflectionHistory, pixel: int, roughness: float, light: wp.vec4, deviation: float,
+    samples: ReflectionSamples, history: ReflectionHistory, pixel: int, roughness: float, light: wp.vec4,
+    deviation: float,
 ) -> ReflectionMean:
     """Return the mean of the frame before, from where the surface and where the virtual image was.
 
@@ -247,6 +255,9 @@ def gather_sources(
     before = mirror_before(views, gbuffer, previous, reprojection, width, pixel)
     there = image_position(views, gbuffer, before, width, pixel, closeness)
     apart = there - position
+    if reflects and views[0].moved_age == 0:
+        apart = apart + unpack_pair(samples.shift[block_of(options, pixel)])
+        there = position + apart
     if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
         return surface
     if reflects:

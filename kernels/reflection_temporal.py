@@ -209,7 +209,7 @@ def accumulate_reflections(
         known = state[1] >= 0.0 and is_finite3(rgb(light))
         if view.restart == 0 and temporal == 1:
             m = gather_sources(
-                views, gbuffer, previous_gbuffer, reprojection, options, history, pixel, roughness,
+                views, gbuffer, previous_gbuffer, reprojection, options, samples, history, pixel, roughness,
                 rgba(rgb(light), wp.where(known, light[3], -1.0)), wp.where(known, state[0], 1.0e4))
         if view.light_age == 0:
             m.length = wp.min(m.length, EDIT_LENGTH)

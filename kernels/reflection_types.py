@@ -97,6 +97,9 @@ class ReflectionSamples:
     """pack_normal: unit direction in which the ray left the pixel's surface"""
     pdf: wp.array[float]
     """Density [1/sr] with which it was drawn; 0: no sample, the radiance means nothing"""
+    shift: wp.array[wp.uint32]
+    """pack_pair: how far from where it was of what stands still the image of what is reflected was in the frame before
+    [px]; of frames in which something has moved (View.moved_age 0)"""
 
 
 @wp.func

@@ -100,6 +100,7 @@ class ReflectionFrames:
         self.samples.radiance = wp.zeros(blocks, dtype=wp.uint64, device=DEVICE)
         self.samples.direction = wp.zeros(blocks, dtype=wp.uint32, device=DEVICE)
         self.samples.pdf = wp.zeros(blocks, dtype=float, device=DEVICE)
+        self.samples.shift = wp.zeros(blocks, dtype=wp.uint32, device=DEVICE)
         self.row = np.zeros(1, View.numpy_dtype())
         for name in ("camera", "previous"):
             camera = self.row[name]

@@ -25,6 +25,7 @@ from ...kernels import (
     reflection_lamps,
     reflection_lean,
     reflection_materials,
+    reflection_movers,
     reflection_place,
     reflection_refract,
     reflection_resolve,
@@ -69,7 +70,8 @@ from .walks import WalkPass
 
 __all__ = ["STRIDES", "RayScene", "ReflectionPass", "gather_settings", "reflection_options"]
 
-SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
+SAMPLE_ARRAYS = {
+    "place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float, "shift": wp.uint32}
 
 LOBES = {
     int(LOBE_REFLECTION): ("reflections", "Reflection", int(REFLECTED), reflection_start.start_reflections),
@@ -180,7 +182,7 @@ class ReflectionPass:
         self._before = known or ReflectionHistory(), previous_matte
         lit = what.scene.lights.class_count > 0 and self.settings.hit_lighting
         self._fit(what.filtered, what.glossy and lit and self.lobe != int(LOBE_DIFFUSE))
-        self._gbuffer[parity], self._grid, self._views = gbuffer, grid, views
+        self._gbuffer[parity], self._surfaces, self._grid, self._views = gbuffer, gbuffer, grid, views
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays
         with graph.section(self._section("rays")):
@@ -259,6 +261,11 @@ class ReflectionPass:
                 record_hits(
                     graph, scene, paths, 0, blocks, self.queue, self.layered, filtered=what.filtered,
                     lean=what.lean_layers, through=self.lobe == int(LOBE_DIFFUSE))
+                if self.lobe == int(LOBE_REFLECTION):
+                    graph.launch(
+                        reflection_movers.find_image_shifts, blocks,
+                        [self._views, scene, what.motion, self.options, self._surfaces, rays, paths, self.samples],
+                        [self.samples.shift])
             else:
                 work = self.living
                 graph.fill_list(compaction.append_living, blocks, [paths.state, self.queue], work)
