@@ -192,7 +192,8 @@ def accumulate_reflections(
         limit: Deviations around this frame's light that the mean is kept within; 0: any.
 
     73 bytes a pixel that reflects: 57 read (material 16, reprojection 9, light 16, history 16 from one pixel, or while
-    the camera moves from two places of up to 12), 16 written.
+    the camera moves from two places of up to 12), 16 written. While something else moves history comes from two places
+    where its image is, and 4 bytes of each block tell where.
     """
     pixel = first + wp.tid()
     m = no_reflection()
