@@ -261,7 +261,8 @@ class ReflectionPass:
                 record_hits(
                     graph, scene, paths, 0, blocks, self.queue, self.layered, filtered=what.filtered,
                     lean=what.lean_layers, through=self.lobe == int(LOBE_DIFFUSE))
-                if self.lobe == int(LOBE_REFLECTION):
+                # In settled frames nothing but the camera moves (light_phase).
+                if self.lobe == int(LOBE_REFLECTION) and not what.settled:
                     graph.launch(
                         reflection_movers.find_image_shifts, blocks,
                         [self._views, scene, what.motion, self.options, self._surfaces, rays, paths, self.samples],
