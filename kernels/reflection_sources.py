@@ -55,6 +55,8 @@ MARGIN = wp.constant(0.05)
 # Roughness up to which the virtual image is preferred, and over which the preference moves to the surface.
 VIRTUAL_ROUGHNESS = wp.constant(0.5)
 VIRTUAL_BLEND = wp.constant(0.3)
+# Preference of the image of what moves itself at most: a shadow on it, or a texture by place, stays where it is.
+MOVER_PREFERENCE = wp.constant(0.8)
 # Roughness up to which the distance of what is reflected is this frame's, and over which it becomes a mean's.
 DISTANCE_ROUGHNESS = wp.constant(0.1)
 DISTANCE_BLEND = wp.constant(0.35)
@@ -256,7 +258,10 @@ def gather_sources(
     there = image_position(views, gbuffer, before, width, pixel, closeness)
     apart = there - position
     if reflects and views[0].moved_age == 0:
-        apart = apart + unpack_pair(samples.shift[block_of(options, pixel)])
+        shift = unpack_pair(samples.shift[block_of(options, pixel)])
+        if wp.abs(shift[0]) + wp.abs(shift[1]) > 0.0:
+            prefer = wp.min(prefer, MOVER_PREFERENCE)
+        apart = apart + shift
         there = position + apart
     if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
         return surface
