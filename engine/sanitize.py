@@ -111,7 +111,7 @@ def _any_has_defects(meshes: Sequence[MeshData]) -> bool:
     if has_defects(joined):
         return True
     flat = [values.reshape(-1) for mesh in meshes for values in (*mesh.uv_maps.values(), *mesh.attributes.values())]
-    return bool(flat) and _repair_arrays({"": np.concatenate(flat)[:, None, None]})[1] > 0
+    return bool(flat) and not _all_finite(np.concatenate(flat))
 
 
 def _all_near(positions: np.ndarray) -> bool:
@@ -245,14 +245,17 @@ def _repair_normals(mesh: MeshData) -> tuple[np.ndarray, int]:
     return normals, len(triangle)
 
 
+def _all_finite(flat: np.ndarray) -> bool:
+    """Tell whether all of [N] values are finite; of some very large ones, not."""
+    with np.errstate(all="ignore"):
+        return bool(np.isfinite(np.dot(flat, flat)))  # a sum is finite only if every term is
+
+
 def _repair_arrays(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
     """Return the [T, 3, C] arrays with zeros in place of non-finite corners, and how many corners those were."""
     repaired, count = {}, 0
     for name, values in arrays.items():
-        flat = values.reshape(-1)
-        with np.errstate(all="ignore"):
-            finite = bool(np.isfinite(np.dot(flat, flat)))  # a sum is finite only if every term is
-        if not finite:
+        if not _all_finite(values.reshape(-1)):
             good = np.isfinite(values).all(axis=-1)
             count += int(good.size - np.count_nonzero(good))
             values = np.where(good[..., None], values, np.float32(0.0))

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .filter_weights import unit_normal
-from .gbuffer import GBuffer
+from .gbuffer import GBuffer, load_surface
 from .geometry_math import is_finite3
+from .ggx import reflect_about
 from .intersect import MISS
 from .motion import Motion, previous_point
 from .packed_halves import pack_pair
@@ -19,7 +19,7 @@ from .paths import ENDED, Paths
 from .reflection_rays import ReflectionRays
 from .reflection_types import ReflectionOptions, ReflectionSamples, sample_pixel
 from .types import Scene
-from .view import View, direction_to_eye, film_position, project, unproject
+from .view import View, direction_to_eye, project
 from .wide_loads import load_previous_view
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
@@ -42,15 +42,11 @@ def image_shift(
     if pixel < 0:
         return none
     view = load_previous_view(views)
-    x = pixel % options.width
-    y = pixel // options.width
-    point = unproject(view.camera, film_position(view, x, y), gbuffer.depth[pixel])
-    normal = unit_normal(gbuffer.normal[pixel])
-    image = point - direction_to_eye(view.camera, point) * paths.t[slot]
+    mirror = load_surface(view, gbuffer, options.width, pixel)
+    image = mirror.position - direction_to_eye(view.camera, mirror.position) * paths.t[slot]
     still = project(view.previous, image)
     # A mirror turns motion about as it turns what moves.
-    moved = project(
-        view.previous, image + was.displacement - normal * (2.0 * wp.dot(normal, was.displacement)))
+    moved = project(view.previous, image - reflect_about(was.displacement, mirror.normal))
     if still[2] <= 0.0 or moved[2] <= 0.0:
         return none
     return wp.vec2(moved[0] - still[0], moved[1] - still[1])

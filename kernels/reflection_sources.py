@@ -262,7 +262,6 @@ def gather_sources(
         if wp.abs(shift[0]) + wp.abs(shift[1]) > 0.0:
             prefer = wp.min(prefer, MOVER_PREFERENCE)
         apart = apart + shift
-        there = position + apart
     if wp.abs(apart[0]) + wp.abs(apart[1]) < ON_CENTRE:
         return surface
     if reflects:

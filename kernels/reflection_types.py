@@ -99,7 +99,7 @@ class ReflectionSamples:
     """Density [1/sr] with which it was drawn; 0: no sample, the radiance means nothing"""
     shift: wp.array[wp.uint32]
     """pack_pair: how far from where it was of what stands still the image of what is reflected was in the frame before
-    [px]; of frames in which something has moved (View.moved_age 0)"""
+    [px]; of reflections alone, in frames in which something has moved (View.moved_age 0)"""
 
 
 @wp.func

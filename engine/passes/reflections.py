@@ -70,8 +70,7 @@ from .walks import WalkPass
 
 __all__ = ["STRIDES", "RayScene", "ReflectionPass", "gather_settings", "reflection_options"]
 
-SAMPLE_ARRAYS = {
-    "place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float, "shift": wp.uint32}
+SAMPLE_ARRAYS = {"place": wp.uint8, "radiance": wp.uint64, "direction": wp.uint32, "pdf": float}
 
 LOBES = {
     int(LOBE_REFLECTION): ("reflections", "Reflection", int(REFLECTED), reflection_start.start_reflections),
@@ -129,6 +128,7 @@ class ReflectionPass:
         self.options.half_rate = int(self.settings.half_rate and width * height > HALF_RATE_PIXELS)
         self.blocks = self.options.columns * self.options.rows
         self.samples = self._fill(ReflectionSamples(), SAMPLE_ARRAYS, self.blocks)
+        self._fill(self.samples, {"shift": wp.uint32}, self.blocks if self.lobe == int(LOBE_REFLECTION) else 1)
         self.rays = ReflectionRays()
         self._fill(self.rays, {"source": wp.uint8, "flag": int, "rank": int}, self.blocks)
         self._room: tuple | None = None

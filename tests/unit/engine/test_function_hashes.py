@@ -5,18 +5,14 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
-from pathlib import Path
+from collections.abc import Callable
 
-ROOT = Path(__file__).resolve().parents[3]
 CODE = """
-import importlib, json, sys
-sys.path.insert(0, sys.argv[1])
-importlib.import_module("tests.conftest")
+import json
 from burnish.engine import device
 from burnish.kernels import cache_lean, direct_shade, gbuffer_lean
 import warp as wp
-if sys.argv[2] == "alone":
+if sys.argv[1] == "alone":
     device.share_function_hashes = lambda: None
 device.start_warp()
 hasher = sys.modules[wp.Module.__module__].ModuleHasher
@@ -28,10 +24,10 @@ print(json.dumps({"hashes": hashes, "calls": len(calls)}))
 """
 
 
-def test_shared_hashes_are_those_of_each_module():
+def test_shared_hashes_are_those_of_each_module(run_python: Callable[..., subprocess.CompletedProcess]) -> None:
     """Make the same hash of a module with shared hashes, so that built kernels are found, for less work."""
-    runs = [subprocess.run([sys.executable, "-c", CODE, str(ROOT), how], capture_output=True, text=True, check=True)
-            for how in ("alone", "shared")]
+    runs = [run_python(CODE, how) for how in ("alone", "shared")]
+    assert all(run.returncode == 0 for run in runs), [run.stderr for run in runs]
     alone, shared = (json.loads(run.stdout.splitlines()[-1]) for run in runs)
     assert shared["hashes"] == alone["hashes"] and len(set(shared["hashes"].values())) == 3
     assert shared["calls"] < 0.75 * alone["calls"]

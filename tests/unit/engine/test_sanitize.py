@@ -39,6 +39,14 @@ def grid(side: int) -> MeshData:
         attributes={"Color": rng.random((count, 3, 4), np.float32)})
 
 
+def without_triangles():
+    """Return a mesh of loose vertices."""
+    mesh = grid(3)
+    mesh.triangles, mesh.material_slots = mesh.triangles[:0], mesh.material_slots[:0]
+    mesh.corner_normals, mesh.uv_maps, mesh.attributes = mesh.corner_normals[:0], {}, {}
+    return mesh
+
+
 @pytest.fixture(autouse=True, params=[True, False], ids=["kernel", "NumPy"])
 def built(request, monkeypatch):
     """Run each test with the kernel that looks for defects, and as it goes before that is built."""
@@ -57,10 +65,7 @@ def test_good_mesh_is_returned_as_it_is():
 
 def test_empty_meshes():
     """Accept a mesh without triangles and one without vertices."""
-    mesh = grid(2)
-    mesh.triangles, mesh.material_slots = mesh.triangles[:0], mesh.material_slots[:0]
-    mesh.corner_normals, mesh.uv_maps, mesh.attributes = mesh.corner_normals[:0], {}, {}
-    assert sanitize_mesh(mesh)[1] == SanitizeCounts()
+    assert sanitize_mesh(without_triangles())[1] == SanitizeCounts()
     mesh = grid(2)
     mesh.positions = mesh.positions[:0]
     cleaned, counts = sanitize_mesh(mesh)
@@ -185,14 +190,6 @@ def test_slots_stay_in_a_range_that_float32_holds():
     assert cleaned.material_slots[:2].tolist() == [0, 0] and cleaned.material_slots[4:].tolist() == [4, 5, 6, 7]
     assert (cleaned.material_slots.astype(np.float32).astype(np.int64) == cleaned.material_slots).all()
     assert (cleaned.material_slots[2:4] > 2**20).all()
-
-
-def without_triangles():
-    """Return a mesh of loose vertices."""
-    mesh = grid(3)
-    mesh.triangles, mesh.material_slots = mesh.triangles[:0], mesh.material_slots[:0]
-    mesh.corner_normals, mesh.uv_maps, mesh.attributes = mesh.corner_normals[:0], {}, {}
-    return mesh
 
 
 def names_another_s_vertex(mesh):
