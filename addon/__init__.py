@@ -15,21 +15,23 @@ __all__ = ["register", "registered", "unregister"]
 def register() -> None:
     """Register the engine, its settings, panels, preferences, handlers and command with Blender."""
     from .. import ui
-    from . import cli, handlers, preferences, render_engine, services
+    from . import cli, early_import, handlers, preferences, render_engine, services
 
     ui.register(services.make_services())
     preferences.register()
     render_engine.register()
     handlers.register()
+    early_import.register()
     cli.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse, and stop everything that still runs."""
     from .. import ui
-    from . import cli, handlers, preferences, render_engine
+    from . import cli, early_import, handlers, preferences, render_engine
 
     cli.unregister()
+    early_import.unregister()
     handlers.unregister()
     render_engine.unregister()
     preferences.unregister()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Application handlers: stop workers before a file is loaded and at exit; drop what undo may have replaced.
 
-None of them does anything before the first viewport renders with the engine, and there is no depsgraph handler.
+None of them does anything before the engine is wanted, and there is no depsgraph handler.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from . import compat, report
+from . import compat, early_import, report
 
 __all__ = ["register", "stop_viewports", "unregister"]
 
@@ -55,6 +55,7 @@ def after_undo(*_: Any) -> None:
 @persistent
 def before_exit(*_: Any) -> None:
     """Stop the worker threads while the interpreter still lives."""
+    early_import.stop()
     stop_viewports()
     release_denoiser()
 
