@@ -5,7 +5,8 @@ Three regimes, counted in steps since anything changed: the first SETTLING steps
 and samples of the reference integrator take turns until there are `DenoiserSettings.rest_frames` frames; from then on
 every step is a sample. The samples go into a film of their own, and passes/rest.py makes one picture from both, whose
 limit is the reference integrator's. A picture that is going to be denoised takes no part in this: to a denoiser samples
-are worth more than frames, so that every step is a sample, but for the frames of light passes.
+are worth more than frames, so that every step is a sample, but for the frames of light passes. Between its samples are
+a few frames that nobody sees: they fill the radiance cache, in which paths may end (`KnownLight`).
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ import numpy as np
 import warp as wp
 
 from ..kernels import film
+from ..kernels.known_light import KnownLight
 from ..kernels.paths import Options
 from .device import launch
 from .device_scene import DeviceScene
+from .history import copy_struct
 from .media import SceneMedia
 from .passes.composite import LIGHT_PASSES
 from .passes.film_buffers import FilmBuffers
@@ -30,7 +33,7 @@ from .pipeline import Pipeline
 from .pixel_filter import filter_table
 from .ray_budget import densified
 from .scene import CameraData
-from .settings import FRAME_GROUPS, Integrator, RenderSettings
+from .settings import FRAME_GROUPS, CacheKey, Integrator, RenderSettings
 from .supersampling import Supersampling
 from .view_data import ViewTracker
 from .warmup import warm_up
@@ -41,6 +44,14 @@ KEYS_REPEAT = 1 << 14
 """Smallest cells that the camera may jump: at twice as many the keys of the cache's flat cells repeat"""
 LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
+ENDED_SAMPLES = 64
+"""Samples of which all paths may end in the cache"""
+FILLING_AT = (0, 4, *range(12, 220, 16))
+"""Samples before which a frame fills the cache, unseen: it takes as long as one or two of them"""
+FEW_SAMPLES = 4
+"""A picture of fewer samples is done before a frame would pay"""
+LEAST_PIXELS = 240 * 135
+"""Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light"""
 
 
 class Realtime:
@@ -62,6 +73,8 @@ class Realtime:
         self._moved = self._lit = False
         self._blended = False
         self._resolved: wp.array | None = None
+        self._ending_options: tuple[Options, Options] | None = None
+        """Those that were given and those with which paths may end in the cache"""
         self._supersampling = Supersampling(device)
         self._shown: wp.array | None = None
         """What frames show, at the picture's size"""
@@ -124,13 +137,30 @@ class Realtime:
         self._blend.reset()
         self._blended = False
         self._resolved = None
+        self._ending_options = None
         if self._film is not None:
             self._film.clear()
 
     @property
     def samples_done(self) -> int:
-        """Return frames and path-traced samples since anything changed."""
-        return self.frames + self.reference.samples_done
+        """Return path-traced samples since anything changed, and the frames that are part of the picture."""
+        return self.reference.samples_done + (0 if self._traced_alone else self.frames)
+
+    @property
+    def _traced_alone(self) -> bool:
+        """Return whether no frame is part of the picture."""
+        return self._denoised and not self._light_passes and self._traces
+
+    @property
+    def _traces(self) -> bool:
+        """Return whether pictures at rest have path-traced samples."""
+        settings = self._settings
+        return settings.denoiser.path_traced_rest and settings.debug.view in ("", *RestBlend.debug_views)
+
+    @property
+    def shows_frames(self) -> bool:
+        """Return whether there are frames in the picture."""
+        return self.frames > 0 and not self._traced_alone
 
     def step(
         self, scene: DeviceScene, camera: np.ndarray, options: Callable[[], Options], samples: int,
@@ -149,10 +179,11 @@ class Realtime:
     def _samples_due(self) -> int:
         """Return how many path-traced samples come next; 0 when it is a frame's turn."""
         denoiser, traced = self._settings.denoiser, self.reference.samples_done
-        if not denoiser.path_traced_rest or self._settings.debug.view not in ("", *RestBlend.debug_views):
+        if not self._traces:
             return 0
         if self._denoised:
-            return 1 << 30 if self.frames >= (LIGHT_FRAMES if self._light_passes else 0) else 0
+            return max(self._filled_until() - traced, 0) if self._traced_alone else (
+                1 << 30 if self.frames >= LIGHT_FRAMES else 0)
         if self.frames >= max(denoiser.rest_frames, 1):
             return 1 << 30
         if self.frames < SETTLING:
@@ -160,6 +191,13 @@ class Realtime:
         # A turn of samples ends when they have come level with the frames, one of frames when those are TURN ahead.
         ahead = self.frames - SETTLING + TURN - traced
         return ahead if ahead >= TURN or traced % TURN else 0
+
+    def _filled_until(self) -> int:
+        """Return how many samples there are when the next frame fills the cache."""
+        few = self._settings.sampling.samples < FEW_SAMPLES
+        if few or self.frames >= len(FILLING_AT) or not self._ends_paths:
+            return 1 << 30
+        return FILLING_AT[self.frames]
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)
@@ -182,8 +220,27 @@ class Realtime:
         target = self.reference.samples_done + count
         self.reference.take_scene(scene)
         self.reference.render(
-            scene.scene, camera, options, self._filter, self._samples_film(), target, should_stop)
+            scene.scene, camera, self._ending(options), self._filter, self._samples_film(), target, should_stop)
         self._blended = True
+
+    @property
+    def _ends_paths(self) -> bool:
+        """Return whether paths shall end in the cache."""
+        cache = self._settings.cache
+        return cache.ends_paths and cache.key == CacheKey.NORMAL and self._size[0] * self._size[1] >= LEAST_PIXELS
+
+    def _ending(self, options: Options) -> Options:
+        """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""
+        if self.frames == 0 or not self._ends_paths:
+            return options
+        # The same object as long as it is the same: launches are recorded with it.
+        if self._ending_options is None or self._ending_options[0] is not options:
+            known = KnownLight()
+            known.samples, known.views, known.grid = ENDED_SAMPLES, self.views.array, self.pipeline.cache.grid
+            ending = copy_struct(options)
+            ending.known = known
+            self._ending_options = options, ending
+        return self._ending_options[1]
 
     def _samples_film(self) -> FilmBuffers:
         """Return the film of path-traced samples, made when it is first asked for."""
@@ -195,7 +252,7 @@ class Realtime:
 
     def picture(self) -> wp.array:
         """Return the newest picture: vec4 [h * w], as the film shows it."""
-        if self._denoised and self.frames == 0:
+        if self._traced_alone or (self._denoised and self.frames == 0):
             buffers = self._samples_film()
             launch(film.resolve_color, buffers.pixel_count, [buffers.film, int(self._settings.film.transparent)],
                    [buffers.picture], self.device)

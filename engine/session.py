@@ -355,7 +355,7 @@ class Session:
         traced, picture, large = (self._pass, self._film), None, False
         if self._realtime is not None:
             traced, large = self._realtime.samples(), self._realtime.supersampled
-            picture = self._realtime.picture() if self._realtime.frames > 0 else None
+            picture = self._realtime.picture() if self._realtime.shows_frames else None
         with device_errors("denoising"):
             # A lens blurs what the guides show.
             guides = self.guides(should_stop)

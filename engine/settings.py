@@ -190,6 +190,9 @@ class CacheSettings:
     follow_mirrors: bool = setting(
         True, "Let light come over mirrors and polished metal as they reflect it, for some time where there are any. "
         "Off: they throw it back on all sides until path tracing takes over")
+    ends_paths: bool = setting(
+        True, "Let path-traced samples end in the cache after two bounces: less noise in the same time. From the 64th "
+        "on ever fewer do, so that the limit stays path tracing's")
 
 
 @dataclass(frozen=True, kw_only=True)

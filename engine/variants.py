@@ -34,6 +34,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no level blend": {"cache.level_blend": False},
     "no cone test": {"cache.cone_test": False},
     "no light over mirrors": {"cache.follow_mirrors": False},
+    "no paths that end in the cache": {"cache.ends_paths": False},
     "cells of 16 px": {"cache.cell_pixels": 16.0},
     "cap of 16 samples in cells": {"cache.sample_cap": 16},
     "a bounce ray for every hit": {"cache.bounce_share": 1.0},

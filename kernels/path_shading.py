@@ -25,6 +25,7 @@ from .light_linking import (
 )
 from .lights import class_total, emitter_pdf, sample_light_of
 from .node_input import deeper
+from .path_ends import ends_in_cache
 from .path_guides import leave_surface, show_surface
 from .paths import (
     LONG_PATH,
@@ -367,6 +368,8 @@ def shade_hit(
     index = paths.index[path]
     dimension = DIMENSION_FIRST_BOUNCE + point.ray_depth * DIMENSIONS_PER_BOUNCE
     if not begin_hit(frame, scene, options, point, bsdf, paths, path):
+        return
+    if ends_in_cache(scene, options, point, bsdf, paths, path):
         return
     light_hit(scene, point, bsdf, paths, path)
     u = sample_pair(seed, index, dimension + DIMENSION_BSDF)

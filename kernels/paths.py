@@ -7,6 +7,7 @@ import warp as wp
 
 from .geometry_math import is_finite3, max_component
 from .intersect import MISS, Hit, Layer, surface_point
+from .known_light import BOUNCES, KnownLight, is_ending
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_ROULETTE, DIMENSIONS_PER_BOUNCE, sample_number
 from .shading_types import Closure, ShadingPoint
 from .types import Scene
@@ -56,6 +57,8 @@ class Options:
     """1: some of those bend normals"""
     films: int
     """1: some surfaces have a thin film"""
+    known: KnownLight
+    """In which paths may end"""
 
 
 @wp.struct
@@ -270,6 +273,9 @@ def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
     As in Cycles, what a hit emits and the world are added before: a ray that was traced shows what it meets.
     """
     chance = survival_chance(options, bounce, paths.throughput[path])
+    if bounce == BOUNCES and is_ending(options.known, paths.index[path]):
+        # What is known may end it here.
+        chance = 1.0
     if chance < 1.0:
         dimension = DIMENSION_FIRST_BOUNCE + bounce * DIMENSIONS_PER_BOUNCE + DIMENSION_ROULETTE
         if sample_number(paths.seed[path], paths.index[path], dimension) >= chance:

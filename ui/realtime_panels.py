@@ -80,6 +80,7 @@ class BURNISH_RENDER_PT_cache_method(RealtimePanel, Panel):
         layout.prop(cache, "level_blend")
         layout.prop(cache, "cone_test")
         layout.prop(cache, "follow_mirrors")
+        layout.prop(cache, "ends_paths")
 
 
 class BURNISH_RENDER_PT_direct_light(RealtimePanel, Panel):

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Test paths that end in the radiance cache: less noise, the same light, fewer of them the more samples there are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from burnish.engine import realtime
+from burnish.engine.session import DENOISED
+from burnish.engine.settings import DenoiserSettings, Integrator, SamplingSettings
+from burnish.kernels.known_light import KnownLight, is_ending
+
+from tests import denoised_room
+from tests.scenes import camera_above
+
+wp.set_module_options({"enable_backward": False})
+SIZE = (240, 136)
+SAMPLES = 8
+
+
+def open_session(integrator, passes=("Combined", DENOISED), size=SIZE):
+    """Open a session on the room, with a cache that has room for its cells."""
+    made = denoised_room.open_session(integrator, passes)
+    settings = replace(made.settings, cache=replace(made.settings.cache, capacity=18))
+    made.configure(settings, camera_above(3.0, 1.0), *size, passes=passes)
+    return made
+
+
+@wp.kernel
+def tell_endings(known: KnownLight, endings_out: wp.array[int]):
+    """Tell of each sample whether it ends in the cache."""
+    sample = wp.tid()
+    endings_out[sample] = int(is_ending(known, wp.uint32(sample)))
+
+
+def endings(samples, count):
+    """Return whether each of `count` samples ends in the cache."""
+    known, found = KnownLight(), wp.zeros(count, dtype=int, device="cpu")
+    known.samples = samples
+    wp.launch(tell_endings, count, [known], [found], device="cpu")
+    return found.numpy()
+
+
+def traced(made, ends, seed=1, samples=SAMPLES):
+    """Return a session's picture of samples alone [h, w, 3], and rays a pixel and sample."""
+    settings = made.settings
+    settings = replace(
+        settings, cache=replace(settings.cache, ends_paths=ends), sampling=SamplingSettings(
+            integrator=Integrator.REALTIME, seed=seed))
+    made.configure(settings, camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
+    made.reset()
+    assert made.step(samples) == samples
+    tracer = made._realtime.reference
+    return made.read()[..., :3], tracer.rays / (SIZE[0] * SIZE[1] * samples)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Return the room without noise."""
+    made = open_session(Integrator.REFERENCE, passes=("Combined",))
+    made.step(192)
+    return made.read()[..., :3]
+
+
+def test_ends_take_noise_and_rays_off_and_keep_the_light(truth):
+    """Have two thirds of the squared error with fewer rays, and the light within 2 %, in a hall lit by its ceiling."""
+    made = open_session(Integrator.REALTIME)
+    figures = {}
+    for ends in (False, True):
+        picture, rays = traced(made, ends)
+        figures[ends] = (
+            float((((picture - truth) / (truth + 0.01)) ** 2).mean()), float(picture.mean() / truth.mean()), rays)
+    print(figures)
+    assert figures[True][0] < 0.65 * figures[False][0]
+    assert abs(figures[True][1] - 1.0) < 0.02
+    assert figures[True][2] < 0.8 * figures[False][2]
+
+
+def test_later_samples_end_ever_less():
+    """End all of the first samples, then a share that falls with their number; none where the cache is not known."""
+    found = endings(64, 1 << 16)
+    assert found[:64].all()
+    for first in (128, 1024, 8192):
+        share = found[first:2 * first].mean()
+        assert abs(share / (64 * np.log(2.0) / first) - 1.0) < 0.2, (first, share)
+    assert not endings(0, 256).any()
+
+
+def test_frames_fill_the_cache_unseen():
+    """Have frames between samples that are neither counted nor seen; none in small pictures or with whole paths."""
+    made = open_session(Integrator.REALTIME)
+    assert made.step(1) == 1 and made._realtime.frames == 1 and not made._realtime.shows_frames
+    assert made.step(30) == 31
+    assert made._realtime.frames == sum(start < 31 for start in realtime.FILLING_AT) == 4
+    _, rays = traced(made, ends=False)
+    assert made._realtime.frames == 0 and rays > 2.0
+    small = open_session(Integrator.REALTIME, size=(48, 32))
+    small.step(5)
+    assert small._realtime.frames == 0
+
+
+def test_few_samples_do_without_frames():
+    """Trace at once where there will be fewer samples than a frame is worth."""
+    made = open_session(Integrator.REALTIME)
+    settings = replace(made.settings, sampling=SamplingSettings(integrator=Integrator.REALTIME, samples=2))
+    made.configure(settings, camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
+    made.step(2)
+    assert made._realtime.frames == 0
+
+
+def test_launches_are_recorded_once():
+    """Keep the kernels' settings until something changes: launches are recorded with them."""
+    made = open_session(Integrator.REALTIME)
+    made.step(20)
+    kept = made._realtime._ending_options
+    made.step(20)
+    assert made._realtime._ending_options is kept
+    made.reset()
+    made.step(2)
+    assert made._realtime._ending_options is not kept
+
+
+def test_pictures_at_rest_end_paths_too(truth):
+    """Come nearer to the truth at rest, frames and samples together, than with whole paths alone."""
+    errors = {}
+    for ends in (False, True):
+        made = open_session(Integrator.REALTIME, passes=("Combined",))
+        settings = replace(
+            made.settings, cache=replace(made.settings.cache, ends_paths=ends),
+            denoiser=DenoiserSettings(rest_frames=16))
+        made.configure(settings, camera_above(3.0, 1.0), *SIZE)
+        made.step(40)
+        assert made._realtime.reference.samples_done > 16
+        errors[ends] = float((((made.read()[..., :3] - truth) / (truth + 0.01)) ** 2).mean())
+    print(errors)
+    assert errors[True] < errors[False]
