@@ -46,10 +46,14 @@ LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 ENDED_SAMPLES = 64
 """Samples of which all paths may end in the cache"""
-FILLING_AT = (0, 4, *range(12, 220, 16))
-"""Samples before which a frame fills the cache, unseen: it takes as long as one or two of them"""
+FILLING_AT = (2, 8, *range(24, 200, 32))
+"""Samples after which frames fill the cache, unseen"""
+FILLING_FRAMES = {"cpu": 1, "cuda": 4}
+"""So many each time: on a processor one takes as long as one or two samples"""
 FEW_SAMPLES = 4
 """A picture of fewer samples is done before a frame would pay"""
+LONG_PATHS = 3.4
+"""Rays of a path, shadow rays left out, from which on ends in the cache pay for the frames: outdoors they don't"""
 LEAST_PIXELS = 240 * 135
 """Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light"""
 
@@ -71,6 +75,7 @@ class Realtime:
         self._light_passes: tuple[str, ...] = ()
         self._denoised = False
         self._moved = self._lit = False
+        self._short_paths = False
         self._blended = False
         self._resolved: wp.array | None = None
         self._ending_options: tuple[Options, Options] | None = None
@@ -138,6 +143,7 @@ class Realtime:
         self._blended = False
         self._resolved = None
         self._ending_options = None
+        self._short_paths = False
         if self._film is not None:
             self._film.clear()
 
@@ -194,10 +200,15 @@ class Realtime:
 
     def _filled_until(self) -> int:
         """Return how many samples there are when the next frame fills the cache."""
+        turn = self.frames // FILLING_FRAMES["cuda" if self.reference.cuda else "cpu"]
         few = self._settings.sampling.samples < FEW_SAMPLES
-        if few or self.frames >= len(FILLING_AT) or not self._ends_paths:
+        if few or turn >= len(FILLING_AT) or not self._ends_paths:
             return 1 << 30
-        return FILLING_AT[self.frames]
+        if self.frames == 0 and self.reference.samples_done == FILLING_AT[0]:
+            # Asked once: the device is waited for.
+            rays = self.reference.rays / (self._size[0] * self._size[1] * FILLING_AT[0])
+            self._short_paths = rays < LONG_PATHS
+        return 1 << 30 if self._short_paths else FILLING_AT[turn]
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)

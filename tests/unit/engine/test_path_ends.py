@@ -11,17 +11,17 @@ from burnish.engine.session import DENOISED
 from burnish.engine.settings import DenoiserSettings, Integrator, SamplingSettings
 from burnish.kernels.known_light import KnownLight, is_ending
 
-from tests import denoised_room
+from tests import denoised_room, scenes
 from tests.scenes import camera_above
 
 wp.set_module_options({"enable_backward": False})
 SIZE = (240, 136)
-SAMPLES = 8
+SAMPLES = 24
 
 
-def open_session(integrator, passes=("Combined", DENOISED), size=SIZE):
+def open_session(integrator, passes=("Combined", DENOISED), size=SIZE, delta=None):
     """Open a session on the room, with a cache that has room for its cells."""
-    made = denoised_room.open_session(integrator, passes)
+    made = denoised_room.open_session(integrator, passes, delta)
     settings = replace(made.settings, cache=replace(made.settings.cache, capacity=18))
     made.configure(settings, camera_above(3.0, 1.0), *size, passes=passes)
     return made
@@ -90,14 +90,26 @@ def test_later_samples_end_ever_less():
 def test_frames_fill_the_cache_unseen():
     """Have frames between samples that are neither counted nor seen; none in small pictures or with whole paths."""
     made = open_session(Integrator.REALTIME)
-    assert made.step(1) == 1 and made._realtime.frames == 1 and not made._realtime.shows_frames
-    assert made.step(30) == 31
-    assert made._realtime.frames == sum(start < 31 for start in realtime.FILLING_AT) == 4
+    assert made.step(3) == 3 and not made._realtime.shows_frames
+    each = realtime.FILLING_FRAMES["cuda" if made._realtime.reference.cuda else "cpu"]
+    assert made._realtime.frames == each
+    assert made.step(28) == 31
+    assert made._realtime.frames == each * sum(start < 31 for start in realtime.FILLING_AT) == 3 * each
     _, rays = traced(made, ends=False)
     assert made._realtime.frames == 0 and rays > 2.0
     small = open_session(Integrator.REALTIME, size=(48, 32))
     small.step(5)
     assert small._realtime.frames == 0
+
+
+def test_short_paths_are_traced_to_their_ends():
+    """Have no frames where paths soon leave the scene: they would take longer than they save."""
+    floor = scenes.delta(
+        {"floor": scenes.quad(2.0)}, [("floor", scenes.place(), "white")], {"white": scenes.material(color=0.7)},
+        background=0.5)
+    made = open_session(Integrator.REALTIME, delta=floor)
+    made.step(12)
+    assert made._realtime.frames == 0 and made._realtime.reference.rays > 0
 
 
 def test_few_samples_do_without_frames():
@@ -122,8 +134,8 @@ def test_launches_are_recorded_once():
 
 
 def test_pictures_at_rest_end_paths_too(truth):
-    """Come nearer to the truth at rest, frames and samples together, than with whole paths alone."""
-    errors = {}
+    """Come as near to the truth at rest, frames and samples together, with fewer rays."""
+    errors, rays = {}, {}
     for ends in (False, True):
         made = open_session(Integrator.REALTIME, passes=("Combined",))
         settings = replace(
@@ -133,5 +145,6 @@ def test_pictures_at_rest_end_paths_too(truth):
         made.step(40)
         assert made._realtime.reference.samples_done > 16
         errors[ends] = float((((made.read()[..., :3] - truth) / (truth + 0.01)) ** 2).mean())
-    print(errors)
-    assert errors[True] < errors[False]
+        rays[ends] = made._realtime.reference.rays
+    print(errors, rays)
+    assert errors[True] < 1.05 * errors[False] and rays[True] < 0.75 * rays[False]
