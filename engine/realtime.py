@@ -22,6 +22,7 @@ from ..kernels.known_light import KnownLight
 from ..kernels.paths import Options
 from .device import launch
 from .device_scene import DeviceScene
+from .errors import OutOfDeviceMemory
 from .history import copy_struct
 from .media import SceneMedia
 from .passes.composite import LIGHT_PASSES
@@ -50,8 +51,6 @@ FILLING_AT = (2, 8, *range(24, 200, 32))
 """Samples after which frames fill the cache, unseen"""
 FILLING_FRAMES = {"cpu": 1, "cuda": 4}
 """So many each time: on a processor one takes as long as one or two samples"""
-FEW_SAMPLES = 4
-"""A picture of fewer samples is done before a frame would pay"""
 LONG_PATHS = 3.4
 """Rays of a path, shadow rays left out, from which on ends in the cache pay for the frames: outdoors they don't"""
 LEAST_PIXELS = 240 * 135
@@ -75,7 +74,7 @@ class Realtime:
         self._light_passes: tuple[str, ...] = ()
         self._denoised = False
         self._moved = self._lit = False
-        self._short_paths = False
+        self._whole_paths = False
         self._blended = False
         self._resolved: wp.array | None = None
         self._ending_options: tuple[Options, Options] | None = None
@@ -115,10 +114,16 @@ class Realtime:
         self._film = None
         supersampling.configure(settings, width, height)
         self._quantiles = supersampling.quantiles(film)
-        fine = tuple(supersampling.factor * side for side in size)
-        self.pipeline.configure(densified(settings, *fine, self.device, supersampling.factor), *fine[:2], light_passes)
+        self._empty_pipeline()
         self._blend.resize(width, height)
         self.restart()
+
+    def _empty_pipeline(self) -> None:
+        """Set the pipeline up without any history; its buffers come with the first frame."""
+        factor = self._supersampling.factor
+        fine = tuple(factor * side for side in self._size)
+        self.pipeline.configure(
+            densified(self._settings, *fine, self.device, factor), *fine[:2], self._light_passes)
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
@@ -143,7 +148,7 @@ class Realtime:
         self._blended = False
         self._resolved = None
         self._ending_options = None
-        self._short_paths = False
+        self._whole_paths = False
         if self._film is not None:
             self._film.clear()
 
@@ -179,6 +184,8 @@ class Realtime:
             turn = self._samples_due()
             if turn:
                 self._trace(scene, camera, options(), min(turn, target - self.samples_done), should_stop)
+            elif self._traced_alone:
+                self._fill(scene, camera)
             else:
                 self._frame(scene, camera)
 
@@ -198,17 +205,25 @@ class Realtime:
         ahead = self.frames - SETTLING + TURN - traced
         return ahead if ahead >= TURN or traced % TURN else 0
 
+    def _fill(self, scene: DeviceScene, camera: np.ndarray) -> None:
+        """Let a frame fill the cache; where it does not fit the device, paths go to their ends."""
+        try:
+            self._frame(scene, camera)
+        except OutOfDeviceMemory:
+            self._whole_paths = True
+            self._empty_pipeline()
+            self.views.restart()
+
     def _filled_until(self) -> int:
         """Return how many samples there are when the next frame fills the cache."""
         turn = self.frames // FILLING_FRAMES["cuda" if self.reference.cuda else "cpu"]
-        few = self._settings.sampling.samples < FEW_SAMPLES
-        if few or turn >= len(FILLING_AT) or not self._ends_paths:
+        if self._whole_paths or turn >= len(FILLING_AT) or not self._ends_paths:
             return 1 << 30
         if self.frames == 0 and self.reference.samples_done == FILLING_AT[0]:
             # Asked once: the device is waited for.
             rays = self.reference.rays / (self._size[0] * self._size[1] * FILLING_AT[0])
-            self._short_paths = rays < LONG_PATHS
-        return 1 << 30 if self._short_paths else FILLING_AT[turn]
+            self._whole_paths = rays < LONG_PATHS
+        return 1 << 30 if self._whole_paths else FILLING_AT[turn]
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine import realtime
+from burnish.engine.errors import OutOfDeviceMemory
 from burnish.engine.session import DENOISED
 from burnish.engine.settings import DenoiserSettings, Integrator, SamplingSettings
 from burnish.kernels.known_light import KnownLight, is_ending
@@ -112,11 +113,20 @@ def test_short_paths_are_traced_to_their_ends():
     assert made._realtime.frames == 0 and made._realtime.reference.rays > 0
 
 
-def test_few_samples_do_without_frames():
-    """Trace at once where there will be fewer samples than a frame is worth."""
+def test_frames_that_do_not_fit_are_done_without(monkeypatch):
+    """Trace paths to their ends where a device has no memory for frames: the picture alone fits."""
+    def fail(self, scene, camera):
+        raise OutOfDeviceMemory("no memory")
+
     made = open_session(Integrator.REALTIME)
-    settings = replace(made.settings, sampling=SamplingSettings(integrator=Integrator.REALTIME, samples=2))
-    made.configure(settings, camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
+    monkeypatch.setattr(realtime.Realtime, "_frame", fail)
+    assert made.step(6) == 6 and made._realtime.frames == 0
+    assert made.read()[..., :3].max() > 0.0
+
+
+def test_first_samples_do_without_frames():
+    """Trace two samples at once: they tell whether frames would pay, and a picture of no more is done before."""
+    made = open_session(Integrator.REALTIME)
     made.step(2)
     assert made._realtime.frames == 0
 
