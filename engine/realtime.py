@@ -251,9 +251,11 @@ class Realtime:
 
     @property
     def _ends_paths(self) -> bool:
-        """Return whether paths shall end in the cache."""
-        cache = self._settings.cache
-        return cache.ends_paths and cache.key == CacheKey.NORMAL and self._size[0] * self._size[1] >= LEAST_PIXELS
+        """Return whether paths shall end in the cache: where it and they have all bounces."""
+        cache, paths = self._settings.cache, self._settings.light_paths
+        whole = cache.bounces == 0 and paths.max_bounces == 0
+        return (cache.ends_paths and whole and cache.key == CacheKey.NORMAL
+                and self._size[0] * self._size[1] >= LEAST_PIXELS)
 
     def _ending(self, options: Options) -> Options:
         """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""

@@ -9,7 +9,13 @@ import warp as wp
 from burnish.engine import realtime
 from burnish.engine.errors import OutOfDeviceMemory
 from burnish.engine.session import DENOISED
-from burnish.engine.settings import DenoiserSettings, Integrator, SamplingSettings
+from burnish.engine.settings import (
+    CacheSettings,
+    DenoiserSettings,
+    Integrator,
+    LightPathSettings,
+    SamplingSettings,
+)
 from burnish.kernels.known_light import KnownLight, is_ending
 
 from tests import denoised_room, scenes
@@ -128,6 +134,16 @@ def test_first_samples_do_without_frames():
     """Trace two samples at once: they tell whether frames would pay, and a picture of no more is done before."""
     made = open_session(Integrator.REALTIME)
     made.step(2)
+    assert made._realtime.frames == 0
+
+
+@pytest.mark.parametrize("limits", [
+    {"light_paths": LightPathSettings(max_bounces=4)}, {"cache": CacheSettings(capacity=18, bounces=2)}])
+def test_limits_of_bounces_are_kept(limits):
+    """End no path where paths or the cache have fewer bounces than all: one would get the other's light."""
+    made = open_session(Integrator.REALTIME)
+    made.configure(replace(made.settings, **limits), camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
+    made.step(4)
     assert made._realtime.frames == 0
 
 
