@@ -79,9 +79,8 @@ def after_load(*_: Any) -> None:
 
 
 def register() -> None:
-    """Notice when the engine is chosen."""
+    """Notice when the engine is chosen; handlers.py notices files that are loaded."""
     if not bpy.app.background:
-        bpy.app.handlers.load_post.append(after_load)
         bpy.msgbus.subscribe_rna(
             key=(bpy.types.RenderSettings, "engine"), owner=_owner, args=(), notify=_asked_for, options={'PERSISTENT'})
 
@@ -90,5 +89,3 @@ def unregister() -> None:
     """Notice no more, and wait for what has begun."""
     stop()
     bpy.msgbus.clear_by_owner(_owner)
-    if after_load in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(after_load)

@@ -63,6 +63,8 @@ def before_exit(*_: Any) -> None:
 def _handlers() -> list[tuple[list[Any], Any]]:
     handlers = bpy.app.handlers
     pairs = [(handlers.load_pre, before_load), (handlers.undo_post, after_undo), (handlers.redo_post, after_undo)]
+    if not bpy.app.background:
+        pairs.append((handlers.load_post, early_import.after_load))
     exit_list = compat.exit_handlers()
     if exit_list is not None:
         pairs.append((exit_list, before_exit))

@@ -280,7 +280,7 @@ class Realtime:
 
     def picture(self) -> wp.array:
         """Return the newest picture: vec4 [h * w], as the film shows it."""
-        if self._traced_alone or (self._denoised and self.frames == 0):
+        if self._denoised and not self.shows_frames:
             buffers = self._samples_film()
             launch(film.resolve_color, buffers.pixel_count, [buffers.film, int(self._settings.film.transparent)],
                    [buffers.picture], self.device)
