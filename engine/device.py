@@ -267,21 +267,30 @@ def load_module(name: str, device: str) -> bool:
         alone = device == "cpu" and not (loaded_modules(device) and SIDE_BY_SIDE <= _warp_version())
         with _first_load if alone else contextlib.nullcontext():
             module = wp.get_module(name)
-            if device == "cpu":
-                fuse_operations(module)
-            loaded = module.load(wp.get_device(device), block_size(name, device)) is not None
+            with fused_operations(module) if device == "cpu" else contextlib.nullcontext():
+                loaded = module.load(wp.get_device(device), block_size(name, device)) is not None
             if loaded:
                 _loaded.add(key)
     return loaded
 
 
-def fuse_operations(module: wp.Module) -> None:
-    """Add FUSED to what a module is built with for the processor; older Warps take no flags."""
-    flags = module.options.get("cpu_compiler_flags")
-    if flags is None:
-        flags = getattr(wp.config, "cpu_compiler_flags", None)
-    if flags is not None and "-ffp-contract" not in flags:
-        module.options["cpu_compiler_flags"] = f"{flags} {FUSED}".strip()
+@contextlib.contextmanager
+def fused_operations(module: wp.Module) -> Iterator[None]:
+    """Add FUSED to what a module is built with for the processor within the block; older Warps take no flags.
+
+    What is built for a GPU afterwards must not have it: Warp looks for kernels on disk by all flags, and would build
+    them anew where a processor was used first.
+    """
+    own = module.options.get("cpu_compiler_flags")
+    flags = own if own is not None else getattr(wp.config, "cpu_compiler_flags", None)
+    if flags is None or "-ffp-contract" in flags:
+        yield
+        return
+    module.options["cpu_compiler_flags"] = f"{flags} {FUSED}".strip()
+    try:
+        yield
+    finally:
+        module.options["cpu_compiler_flags"] = own
 
 
 def _warp_version() -> tuple[int, ...]:

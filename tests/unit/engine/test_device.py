@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import FUSED, fuse_operations, launch
+from burnish.engine.device import FUSED, fused_operations, launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,10 +48,10 @@ def test_products_keep_their_last_bits(monkeypatch):
     (None, None, None),
 ])
 def test_other_flags_stay(monkeypatch, own, everywhere, expected):
-    """Add the flag once to a module's own flags, else to those of all; to none where Warp takes none."""
+    """Add the flag once to a module's own flags, else to those of all, none where Warp takes none; and for that alone."""
     module = wp.Module(f"flags_{own}_{everywhere}", None)
     module.options["cpu_compiler_flags"] = own
     monkeypatch.setattr(wp.config, "cpu_compiler_flags", everywhere)
-    fuse_operations(module)
-    fuse_operations(module)
-    assert module.options["cpu_compiler_flags"] == expected
+    with fused_operations(module), fused_operations(module):
+        assert module.options["cpu_compiler_flags"] == expected
+    assert module.options["cpu_compiler_flags"] == own
