@@ -9,8 +9,6 @@ anew when settings or the scene's arrays change, not when the camera or objects 
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from ..kernels.direct_light import DirectLight
@@ -19,31 +17,22 @@ from ..kernels.gbuffer import GBuffer
 from ..kernels.motion import Motion
 from ..kernels.reflection_chain import MIRROR_ROUGHNESS
 from ..kernels.reflection_sources import DISTANCE_ROUGHNESS
-from ..kernels.reflection_types import LOBE_DIFFUSE, LOBE_REFLECTION, LOBE_TRANSMISSION
 from ..kernels.types import Scene
 from .clear_glass import light_scene, passes_glass
-from .device import device_errors
 from .device_scene import DeviceScene
 from .environment_split import split_environment
 from .frame_fingerprint import fingerprint
 from .frame_graph import FrameGraph
+from .frame_passes import FramePasses
 from .motion import MotionTracker
 from .passes.absent import note_absent
 from .passes.cache_spreading import LightPhase, light_phase
-from .passes.composite import CompositePass
-from .passes.depth_of_field import DepthOfFieldPass, has_blur
-from .passes.diffuse_denoise import DiffuseDenoisePass
-from .passes.direct_denoise import DirectDenoisePass
-from .passes.direct_light import DirectLightPass, has_lights, no_light
-from .passes.fog import FOG, FogPass
-from .passes.gbuffer import LAMPS, GBufferPass, shines_plainly
-from .passes.hair import HairPass, scatters_in_hair
-from .passes.radiance_cache import RadianceCachePass, smallest_cell
+from .passes.depth_of_field import has_blur
+from .passes.fog import FOG
+from .passes.gbuffer import LAMPS, shines_plainly
+from .passes.radiance_cache import smallest_cell
 from .passes.ray_scene import scatters_below
-from .passes.reflection_denoise import ReflectionDenoisePass
-from .passes.reflections import STRIDES, RayScene, ReflectionPass, gather_settings
-from .passes.rest_gather import RestGatherPass
-from .passes.screen_probes import ScreenProbePass
+from .passes.reflections import RayScene, ReflectionPass
 from .settings import RenderSettings
 from .view_data import ViewTracker
 
@@ -53,26 +42,20 @@ PREPARATION, REPROJECTION, DIRECT = "preparation", "reprojection", "direct light
 """Branches of the graph, besides the passes' own"""
 
 
-class Pipeline:
+class Pipeline(FramePasses):
     """The passes of a frame, their order and their recorded launches."""
 
     def __init__(self, device: str):
-        self.device = device
+        super().__init__(device)
         self.times: dict[str, float] = {}
         """Milliseconds of each section of the last timed frame"""
         self.kernel_times: dict[str, float] = {}
         """The same by kernel"""
         self.skipped: dict[str, str] = {}
         """Sections that the scene does not need, with the reason"""
-        self.passes: tuple = ()
-        self._ready: list = []
-        """Passes that have their buffers: those that some frame so far needed"""
-        self._recorded: list = []
-        """Passes in the frames recorded last"""
         self._parity = 0
         self._graph: FrameGraph | None = None
-        self._settings: RenderSettings | None = None
-        self._graphs: dict[tuple[int, bool, LightPhase], tuple[FrameGraph, wp.array, list]] = {}
+        self._graphs: dict[tuple[int, bool, LightPhase, bool], tuple[FrameGraph, wp.array | None, list]] = {}
         self._recorded_for = b""
         self.records = 0
         """Frames that were recorded so far: such a frame takes longer than those that follow"""
@@ -83,31 +66,9 @@ class Pipeline:
 
     def configure(self, settings: RenderSettings, width: int, height: int, light_passes: bool) -> None:
         """Make the passes for settings and a size [px]."""
-        self._settings = settings
-        device = self.device
-        self.gbuffer = GBufferPass(device)
-        self.cache = RadianceCachePass(device, settings.cache, deterministic=settings.performance.deterministic)
-        self.probes = ScreenProbePass(device, settings.probes)
-        self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
-        self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
-        self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
-        self.gather = ReflectionPass(device, gather_settings(settings), int(LOBE_DIFFUSE))
-        self.hair = HairPass(device, settings.reflections)
-        self.rest_gather = RestGatherPass(device)
-        self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))
-        self.refraction_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_TRANSMISSION))
-        self._filters = {self.reflections: self.reflection_denoise, self.refraction: self.refraction_denoise}
-        self.direct_denoise = DirectDenoisePass(device, settings.denoiser)
-        self.diffuse_denoise = DiffuseDenoisePass(device, settings.denoiser)
-        self.composite = CompositePass(device, settings.denoiser, light_passes)
-        self.fog, self.depth_of_field = FogPass(device), DepthOfFieldPass(device)
-        self.passes = (self.gbuffer, self.cache, self.probes, self.direct, self.direct_denoise, self.diffuse_denoise,
-                       self.reflections, self.refraction, self.gather, self.rest_gather, self.composite, self.fog)
-        self.passes += (self.hair, self.reflection_denoise, self.refraction_denoise, self.depth_of_field)
-        self._size, self._ready, self._recorded = (width, height), [], []
-        self._black: DirectLight | None = None
-        self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=device)
-        self.motion = MotionTracker(device)
+        self._make_passes(settings, width, height, light_passes)
+        self._debug_picture = wp.zeros(width * height, dtype=wp.vec4, device=self.device)
+        self.motion = MotionTracker(self.device)
         self.show(settings.debug.view)
 
     def show(self, name: str) -> None:
@@ -116,40 +77,17 @@ class Pipeline:
         self._debug = (owner, name) if owner is not None else None
         self._forget_records()
 
-    def reset(self) -> None:
-        """Forget all history."""
-        for each in self._ready:
-            each.reset()
-
-    def _prepare(self, *passes: Any) -> None:
-        """Note that a frame needs passes; those that never were needed so far get their buffers."""
-        self._recorded += passes
-        for each in passes:
-            if each in self._ready:
-                continue
-            filters = isinstance(each, ReflectionDenoisePass)
-            stride = (STRIDES[self._settings.reflections.resolution],) if filters else ()
-            with device_errors("a picture of {} x {} pixels".format(*self._size)):
-                each.resize(*self._size, *stride)
-            self._ready.append(each)
-
-    def _leave_out(self, graph: FrameGraph, name: str, reason: str, *passes: Any) -> None:
-        """Note that a frame does without passes; what they know is too old once they come back."""
-        graph.skip(name, reason)
-        for each in passes:
-            if each in self._ready:
-                each.reset()
-
     def _forget_records(self) -> None:
         self._graphs, self._recorded_for = {}, b""
 
-    def frame(self, scene: DeviceScene, views: ViewTracker, timed: bool = False) -> None:
+    def frame(self, scene: DeviceScene, views: ViewTracker, timed: bool = False, unseen: bool = False) -> None:
         """Render the frame that `views` has advanced to; its result is `picture`.
 
         Args:
             scene: The scene; its arrays are read while the frame runs.
             views: Camera and counters.
             timed: Whether to measure every section, which waits for each.
+            unseen: Whether it only fills the radiance cache: there is no picture then.
         """
         motion = self.motion.advance(scene)
         self._update_split(scene)
@@ -159,8 +97,9 @@ class Pipeline:
             self._graphs, self._recorded_for = {}, recorded_for
         # What only frames at rest need, or the first after an edit of light, costs the others nothing: they are records
         # of their own.
-        resting = self._settings.denoiser.rest_gather and views.rest > 0
-        key = views.parity, resting, light_phase(views.frame, views.light_age, views.moved_age, resting=resting)
+        resting = self._settings.denoiser.rest_gather and views.rest > 0 and not unseen
+        phase = light_phase(views.frame, views.light_age, views.moved_age, resting=resting)
+        key = views.parity, resting, phase, unseen
         if key not in self._graphs:
             self._graphs[key] = self._record(*key, scene, views.array, motion)
             self.records += 1
@@ -196,56 +135,6 @@ class Pipeline:
             self.split = split_environment(scene.scene, self.device)
             self._split_for = scene.environment
 
-    def _reflecting(self, graph: FrameGraph, scene: DeviceScene) -> list[ReflectionPass]:
-        """Return the passes of reflection and of light from behind that the scene needs."""
-        reflectors = scene.material_table.reflectors
-        needed = []
-        if reflectors.sharpest < self._settings.reflections.roughness_diffuse:
-            needed.append(self.reflections)
-            self._prepare(self.reflections, self.reflection_denoise)
-        else:
-            self._leave_out(graph, "reflections", "nothing reflects sharply", self.reflections, self.reflection_denoise)
-        if reflectors.refracts or reflectors.scatters or scatters_below(scene, self._settings.reflections):
-            needed.append(self.refraction)
-            self._prepare(self.refraction, self.refraction_denoise)
-        else:
-            self._leave_out(
-                graph, "refraction", "nothing lets light through or scatters it below its surface", self.refraction,
-                self.refraction_denoise)
-        if scatters_in_hair(scene, self._settings.reflections):
-            self._prepare(self.hair)
-        else:
-            self._leave_out(graph, "hair", "there is none that scatters light", self.hair)
-        return needed
-
-    def _gathering(self, graph: FrameGraph, resting: bool) -> list[ReflectionPass]:
-        """Return the pass of the final gather where a frame has it."""
-        if resting:
-            self._prepare(self.gather, self.rest_gather)
-            return [self.gather]
-        # It keeps what it has gathered: frames without it are few, and it knows how old things are.
-        graph.skip("final gather", "something moves" if self._settings.denoiser.rest_gather else "switched off")
-        return []
-
-    def _needs_direct(self, graph: FrameGraph, scene: DeviceScene) -> bool:
-        """Return whether anything is sampled as a light; black stands for direct light where nothing is."""
-        if has_lights(scene.scene, self.split):
-            self._prepare(self.direct, self.direct_denoise)
-            return True
-        self._leave_out(graph, "direct light", "there are no lamps, emitters or sun", self.direct, self.direct_denoise)
-        self._black = self._black or no_light(self._size[0] * self._size[1], self.device)
-        return False
-
-    def _needs_fog(self, graph: FrameGraph, parity: int, scene: DeviceScene) -> Fog | None:
-        """Return the fog that a frame has to draw; None without."""
-        data = scene.media and scene.media.fog
-        self.probes.make_room(data.cells if data is not None else 0)
-        if data is None:
-            self._leave_out(graph, "fog", "there is none", self.fog)
-            return None
-        self._prepare(self.fog)
-        return self.fog.fog_of(data, self.probes.rays_a_frame - data.cells, parity)
-
     def _record_filter(
         self, graph: FrameGraph, parity: int, views: wp.array, surfaces: GBuffer, traced: ReflectionPass,
     ) -> wp.array:
@@ -275,11 +164,14 @@ class Pipeline:
                 changing=resting or phase is not LightPhase.SETTLED)
 
     def _record(
-        self, parity: int, resting: bool, phase: LightPhase, scene: DeviceScene, views: wp.array, motion: Motion,
-    ) -> tuple[FrameGraph, wp.array, list]:
+        self, parity: int, resting: bool, phase: LightPhase, unseen: bool, scene: DeviceScene, views: wp.array,
+        motion: Motion,
+    ) -> tuple[FrameGraph, wp.array | None, list]:
         """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
         self._recorded = []
-        self._prepare(self.gbuffer, self.cache, self.probes, self.diffuse_denoise, self.composite)
+        self._prepare(self.gbuffer, self.cache, self.probes)
+        if not unseen:
+            self._prepare(self.diffuse_denoise, self.composite)
         graph, kernels_scene = FrameGraph(self.device), light_scene(scene.scene, self._settings.direct_light)
         filtered, programs = scene.structures.has_filtered, scene.has_hit_programs
         shining = shines_plainly(kernels_scene, scene.emitters)
@@ -287,7 +179,8 @@ class Pipeline:
         below = scatters_below(scene, self._settings.reflections)
         # Branches run side by side: what needs no surfaces beside the primary rays, then direct light and each kind of
         # reflection ray beside the probes, whose chain of short kernels is the longest and goes first.
-        lit, fog = self._needs_direct(graph, scene), self._needs_fog(graph, parity, scene)
+        fog = self._needs_fog(graph, parity, scene)
+        lit = not (unseen and fog is None) and self._needs_direct(graph, scene, self.split)
         with graph.branch(PREPARATION):
             self.cache.record_start(graph, views, phase)
             if lit:
@@ -304,12 +197,14 @@ class Pipeline:
             graph, parity, kernels_scene, scene.structures, views, filtered=filtered, all_lean=lean.surface,
             lean_layers=lean.transparency, shining=shining, exact=lean.exact, scattering=below)
         before, reprojection = self.gbuffer.previous(parity), self.gbuffer.reprojection
-        with graph.branch(REPROJECTION):
-            self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)
+        color = matte = None
+        if not unseen:
+            with graph.branch(REPROJECTION):
+                self.gbuffer.record_reprojection(graph, parity, kernels_scene, views, motion)
+            color, matte = self.composite.color.previous(parity), self.composite.matte.previous(parity)
         graph.join(PREPARATION)
-        color, matte = self.composite.color.previous(parity), self.composite.matte.previous(parity)
-        traced = self._reflecting(graph, scene)
-        gathering = self._gathering(graph, resting)
+        traced = [] if unseen else self._reflecting(graph, scene)
+        gathering = [] if unseen else self._gathering(graph, resting)
         what = RayScene(
             kernels_scene, self.split, motion, scene.world_texels, filtered, programs, lean.plain, lean.transparency,
             lean.lean_strands, reflectors.refracts or reflectors.sharpest < MIRROR_ROUGHNESS, reflectors.scatters,
@@ -330,7 +225,7 @@ class Pipeline:
                     self.direct.emitters if lit else None, after=branches)
             branches += (self.hair.name,)
         with graph.branch(DIRECT):
-            direct = self._black if not lit else self._record_direct(
+            direct = self._black if not lit or unseen else self._record_direct(
                 graph, parity, resting, phase, scene, kernels_scene, views, surfaces, fog)
         rays, count = self.probes.record_rays(graph, kernels_scene, views, surfaces)
         if fog is not None:
@@ -342,6 +237,8 @@ class Pipeline:
             phase=phase, **cache_scene)
         if fog is not None:
             self.fog.record_light(graph, parity, kernels_scene, fog, self.cache.rays.ways, phase)
+        if unseen:
+            return graph, None, self._recorded
         graph.join(REPROJECTION, LAMPS)
         shown = {}
         for each in traced:

@@ -75,6 +75,8 @@ class Realtime:
         self._denoised = False
         self._moved = self._lit = False
         self._whole_paths = False
+        self._unseen = False
+        """Whether the newest frame was only for the cache"""
         self._blended = False
         self._resolved: wp.array | None = None
         self._ending_options: tuple[Options, Options] | None = None
@@ -127,9 +129,12 @@ class Realtime:
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
+        self._forget_frames()
+        self._forget_samples()
+
+    def _forget_frames(self) -> None:
         self.views.restart()
         self.pipeline.reset()
-        self._forget_samples()
 
     def note(self, *, moved: bool, lit: bool) -> None:
         """Take in that the scene has changed since the last frame: objects moved, light or materials were edited."""
@@ -208,7 +213,7 @@ class Realtime:
     def _fill(self, scene: DeviceScene, camera: np.ndarray) -> None:
         """Let a frame fill the cache; where it does not fit the device, paths go to their ends."""
         try:
-            self._frame(scene, camera)
+            self._frame(scene, camera, unseen=True)
         except OutOfDeviceMemory:
             self._whole_paths = True
             self._empty_pipeline()
@@ -225,8 +230,12 @@ class Realtime:
             self._whole_paths = rays < LONG_PATHS
         return 1 << 30 if self._whole_paths else FILLING_AT[turn]
 
-    def _frame(self, scene: DeviceScene, camera: np.ndarray) -> None:
+    def _frame(self, scene: DeviceScene, camera: np.ndarray, unseen: bool = False) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)
+        if self._unseen and not unseen:
+            # Unseen frames ask no probe for its light.
+            self._forget_frames()
+        self._unseen = unseen
         if self.views.moved_by(camera) > KEYS_REPEAT * smallest_cell(settings.cache, scene.radius):
             self.restart()
         self.views.advance(
@@ -234,11 +243,13 @@ class Realtime:
             transparent=settings.film.transparent,
             filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
         self._moved = self._lit = False
-        self.pipeline.frame(scene, self.views, timed=self.timed)
+        self.pipeline.frame(scene, self.views, timed=self.timed, unseen=unseen)
+        self.frames += 1
+        if unseen:
+            return
         self._shown = self._supersampling.average(self.pipeline.picture)
         if self._settings.denoiser.path_traced_rest and self.views.rest > 0:
             self._blend.add_frame(self.pipeline.gbuffer.current(self.views.parity), self._supersampling.factor)
-        self.frames += 1
 
     def _trace(
         self, scene: DeviceScene, camera: np.ndarray, options: Options, count: int, should_stop: Callable[[], bool],

@@ -142,7 +142,7 @@ def test_option_costs_nothing_on_the_processor():
         made.update(room())
         made.configure(settings, camera(0.0), *SIZE)
         made.step(1)
-        graph = made._realtime.pipeline._graphs[0, False, LightPhase.SWEEPING][0]
+        graph = made._realtime.pipeline._graphs[0, False, LightPhase.SWEEPING, False][0]
         launches[deterministic] = [step.kernel for step in graph._steps]
     assert len(launches[True]) > 40
     assert launches[True] == launches[False]

@@ -48,7 +48,7 @@ def test_products_keep_their_last_bits(monkeypatch):
     (None, None, None),
 ])
 def test_other_flags_stay(monkeypatch, own, everywhere, expected):
-    """Add the flag once to a module's own flags, else to those of all, none where Warp takes none; and for that alone."""
+    """Add the flag once to a module's own flags, else to those of all; none where Warp takes none, or afterwards."""
     module = wp.Module(f"flags_{own}_{everywhere}", None)
     module.options["cpu_compiler_flags"] = own
     monkeypatch.setattr(wp.config, "cpu_compiler_flags", everywhere)

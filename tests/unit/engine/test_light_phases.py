@@ -63,7 +63,7 @@ def open_session(seed=0):
 
 def phases(made):
     """Return the phases of the frames recorded so far."""
-    return {phase for _, _, phase in made._realtime.pipeline._graphs}
+    return {key[2] for key in made._realtime.pipeline._graphs}
 
 
 @pytest.fixture(scope="module")

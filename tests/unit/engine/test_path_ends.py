@@ -109,6 +109,28 @@ def test_frames_fill_the_cache_unseen():
     assert small._realtime.frames == 0
 
 
+def test_unseen_frames_have_surfaces_and_the_cache_alone():
+    """Launch and allocate nothing that only a picture needs."""
+    made, seen = open_session(Integrator.REALTIME), open_session(Integrator.REALTIME, passes=("Combined",))
+    made.step(3)
+    seen.step(1)
+    sections, all_sections = ({name for name, _ in each.pipeline.launches()} for each in (made, seen))
+    assert sections < all_sections and {"Materials", "Probe rays", "Cache cells"} < sections
+    assert not {"Composite", "Direct light", "Reflection rays", "Probe blending", "Diffuse denoising"} & sections
+    pipeline = made.pipeline
+    assert set(pipeline._ready) == {pipeline.gbuffer, pipeline.cache, pipeline.probes}
+
+
+def test_frames_after_unseen_ones_are_the_first():
+    """Forget the probes of unseen frames, which no ray has told its light, before a frame is seen."""
+    made, fresh = open_session(Integrator.REALTIME), open_session(Integrator.REALTIME, passes=("Combined",))
+    made.step(3)
+    made.configure(made.settings, camera_above(3.0, 1.0), *SIZE)
+    for each in (made, fresh):
+        each.step(2)
+    np.testing.assert_array_equal(made.read(), fresh.read())
+
+
 def test_short_paths_are_traced_to_their_ends():
     """Have no frames where paths soon leave the scene: they would take longer than they save."""
     floor = scenes.delta(
@@ -121,7 +143,7 @@ def test_short_paths_are_traced_to_their_ends():
 
 def test_frames_that_do_not_fit_are_done_without(monkeypatch):
     """Trace paths to their ends where a device has no memory for frames: the picture alone fits."""
-    def fail(self, scene, camera):
+    def fail(self, scene, camera, unseen):
         raise OutOfDeviceMemory("no memory")
 
     made = open_session(Integrator.REALTIME)

@@ -54,7 +54,7 @@ def session(settings=REALTIME, delta=None):
 def graphs_of(made):
     """Return the recorded frames."""
     graphs = made._realtime.pipeline._graphs
-    return [graphs.get((parity, resting, phase)) for phase in LightPhase for resting in (False, True)
+    return [graphs.get((parity, resting, phase, False)) for phase in LightPhase for resting in (False, True)
             for parity in (0, 1)]
 
 

@@ -153,7 +153,7 @@ def edit(made, delta):
 
 def recorded(made):
     """Return the names of all kernels and sections with launches in the recorded frames of motion."""
-    steps = [step for (_, resting, _), (graph, *_) in made._realtime.pipeline._graphs.items() if not resting
+    steps = [step for (_, resting, *_), (graph, *_) in made._realtime.pipeline._graphs.items() if not resting
              for step in graph._steps if step.launches]
     assert len(steps) > 40
     return {step.kernel for step in steps}, {step.section for step in steps}
@@ -238,7 +238,7 @@ def test_matte_scenes_have_fewer_launches():
     everything.materials["floor"] = scenes.transparent(0.3, "GLOSSY", color=0.5, roughness=0.2)
     counts = [
         sum(bool(step.launches) and step.kernel not in ("spread_cells", "spread_light")
-            for step in graphs[0, False, LightPhase.SWEEPING][0]._steps)
+            for step in graphs[0, False, LightPhase.SWEEPING, False][0]._steps)
         for graphs in (open_session(delta)._realtime.pipeline._graphs for delta in (room(lights=()), everything))]
     assert counts[0] < 0.5 * counts[1], counts
 
@@ -274,9 +274,9 @@ def test_frames_at_rest_are_the_only_ones_to_gather():
     """Record the final gather for frames at rest alone."""
     made = open_session(room())
     graphs = made._realtime.pipeline._graphs
-    for (_, resting, _), (graph, *_) in graphs.items():
+    for (_, resting, *_), (graph, *_) in graphs.items():
         assert any(step.section.startswith("Final gather") for step in graph._steps) == resting
-    assert {resting for _, resting, _ in graphs} == {False, True}
+    assert {resting for _, resting, *_ in graphs} == {False, True}
 
 
 def test_light_sweeps_only_after_edits():
