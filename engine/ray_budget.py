@@ -18,7 +18,7 @@ __all__ = [
     "HALF_RATE_PIXELS", "SMALLEST_PIXELS", "SMALL_INTERVAL", "SMALL_PIXELS", "densified", "is_small", "spreading_rays"]
 
 HALF_RATE_PIXELS = 1_000_000
-"""Pictures of no more have a shadow ray for each pixel in every frame, on any device, and their probes wait for
+"""Frames of no more pixels have a shadow ray for each in every frame, on any device, and their probes wait for
 SMALL_INTERVAL frames at most: they are coarser, and it costs little"""
 
 SMALL_INTERVAL = 2
@@ -47,7 +47,7 @@ def is_small(width: int, height: int) -> bool:
 
 
 def densified(
-    settings: RenderSettings, width: int, height: int, lines: int, device: str, factor: int = 1,
+    settings: RenderSettings, width: int, height: int, lines: int, device: str, factor: int = 1, *, seen: bool = True,
 ) -> RenderSettings:
     """Return the settings that frames are made with: denser ones for a small picture on a GPU.
 
@@ -58,6 +58,7 @@ def densified(
         lines: Height of the full frame [px].
         device: Where the kernels run.
         factor: Frames have so many times the width and height of a picture that is small (supersampling.py).
+        seen: Whether anybody sees the frames; others only fill the radiance cache.
     """
     probes, cache, reflections = settings.probes, settings.cache, settings.reflections
     small = is_small(width, height)
@@ -67,9 +68,11 @@ def densified(
     # frames they can be as small in the scene as there; with four times as many as before, half as wide at least.
     shrink = max(math.sqrt(min(lines / float(SCREEN_LINES), 1.0)), LEAST_SHRINK)
     settings = replace(settings, cache=replace(cache, cell_pixels=cache.cell_pixels * shrink))
+    # Probes that are twice as near take a seventh off the error of first frames, for 2 ms of them and 1 ms of others.
+    if small or (seen and width * height <= HALF_RATE_PIXELS):
+        settings = replace(settings, probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))))
     return settings if not small else replace(
         settings,
-        probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))),
         reflections=replace(reflections, resolution=DENSER.get(reflections.resolution, reflections.resolution)))
 
 

@@ -47,14 +47,17 @@ LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 ENDED_SAMPLES = 64
 """Samples of which all paths may end in the cache"""
-FILLING_AT = (2, 8, *range(24, 200, 32))
-"""Samples after which frames fill the cache, unseen"""
-FILLING_FRAMES = {"cpu": 1, "cuda": 4}
-"""So many each time: on a processor one takes as long as one or two samples"""
+FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (2, 16, 64, 160)}
+"""Samples after which frames fill the cache, unseen: fewer times on a GPU, where each waits for its longest paths"""
+FILLING_FRAMES = {"cpu": 2, "cuda": 4}
+"""So many each time: on a processor one takes two thirds of a sample's time"""
 LONG_PATHS = 3.4
 """Rays of a path, shadow rays left out, from which on ends in the cache pay for the frames: outdoors they don't"""
-LEAST_PIXELS = 240 * 135
-"""Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light"""
+LEAST_PIXELS = {"cpu": 240 * 135, "cuda": 480 * 270}
+"""Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light. On a
+GPU their samples take a fraction of the time that frames do"""
+MANY_BOUNCES = 24
+"""Limit of a path's bounces from which on the light beyond it does not count: all that cells know may be added"""
 
 
 class Realtime:
@@ -63,6 +66,7 @@ class Realtime:
     def __init__(self, device: str):
         warm_up(device, integrator=Integrator.REALTIME)
         self.device = device
+        self._kind = "cuda" if wp.get_device(device).is_cuda else "cpu"
         self.views = ViewTracker(device)
         self.pipeline = Pipeline(device)
         self.reference = ReferencePass(device)
@@ -98,9 +102,8 @@ class Realtime:
             denoised: Whether the picture is going to be denoised.
         """
         if denoised != self._denoised:
-            self._denoised = denoised
-            self._forget_samples()
-            self._film = None
+            # Frames that nobody sees are others.
+            self._denoised, self._settings = denoised, None
         old = self._settings
         size = width, height, lines
         if same_frames(settings, old) and (size, light_passes) == (self._size, self._light_passes):
@@ -125,7 +128,8 @@ class Realtime:
         factor = self._supersampling.factor
         fine = tuple(factor * side for side in self._size)
         self.pipeline.configure(
-            densified(self._settings, *fine, self.device, factor), *fine[:2], self._light_passes)
+            densified(self._settings, *fine, self.device, factor, seen=not self._traced_alone), *fine[:2],
+            self._light_passes)
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
@@ -221,14 +225,15 @@ class Realtime:
 
     def _filled_until(self) -> int:
         """Return how many samples there are when the next frame fills the cache."""
-        turn = self.frames // FILLING_FRAMES["cuda" if self.reference.cuda else "cpu"]
-        if self._whole_paths or turn >= len(FILLING_AT) or not self._ends_paths:
+        starts = FILLING_AT[self._kind]
+        turn = self.frames // FILLING_FRAMES[self._kind]
+        if self._whole_paths or turn >= len(starts) or not self._ends_paths:
             return 1 << 30
-        if self.frames == 0 and self.reference.samples_done == FILLING_AT[0]:
+        if self.frames == 0 and self.reference.samples_done == starts[0]:
             # Asked once: the device is waited for.
-            rays = self.reference.rays / (self._size[0] * self._size[1] * FILLING_AT[0])
+            rays = self.reference.rays / (self._size[0] * self._size[1] * starts[0])
             self._whole_paths = rays < LONG_PATHS
-        return 1 << 30 if self._whole_paths else FILLING_AT[turn]
+        return 1 << 30 if self._whole_paths else starts[turn]
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray, unseen: bool = False) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)
@@ -263,10 +268,10 @@ class Realtime:
     @property
     def _ends_paths(self) -> bool:
         """Return whether paths shall end in the cache: where it and they have all bounces."""
-        cache, paths = self._settings.cache, self._settings.light_paths
-        whole = cache.bounces == 0 and paths.max_bounces == 0
+        cache, limit = self._settings.cache, self._settings.light_paths.max_bounces
+        whole = cache.bounces == 0 and (limit == 0 or limit >= MANY_BOUNCES)
         return (cache.ends_paths and whole and cache.key == CacheKey.NORMAL
-                and self._size[0] * self._size[1] >= LEAST_PIXELS)
+                and self._size[0] * self._size[1] >= LEAST_PIXELS[self._kind])
 
     def _ending(self, options: Options) -> Options:
         """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""

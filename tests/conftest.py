@@ -67,14 +67,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def quiet_warp(device: str) -> None:
+def quiet_warp(request: pytest.FixtureRequest) -> None:
     """Let Warp print errors only, and build kernels that tests launch by themselves as those that the engine loads."""
     import warp as wp
     from burnish.engine.device import FUSED
 
     wp.config.log_level = wp.LOG_ERROR
     # Warp would look for kernels of a GPU by these flags too, and build all of them anew.
-    if device == "cpu" and getattr(wp.config, "cpu_compiler_flags", None) is not None:
+    on_processor = request.config.getoption("--device") == "cpu"
+    if on_processor and getattr(wp.config, "cpu_compiler_flags", None) is not None:
         wp.config.cpu_compiler_flags += f" {FUSED}"
 
 

@@ -47,11 +47,22 @@ def test_small_pictures_have_the_cells_of_large_ones() -> None:
         assert on_screen / lines == pytest.approx(DEFAULTS.cache.cell_pixels / 1080)
     # Four times the rays are enough for cells half as wide.
     assert densified(DEFAULTS, 240, 135, 135, "cuda:0").cache.cell_pixels == DEFAULTS.cache.cell_pixels / 2
-    # So have frames of twice the size of a small picture, which have as many rays already.
+    # So have frames of twice the size of a small picture.
     doubled = densified(DEFAULTS, 1280, 720, 720, "cuda:0", 2)
     assert doubled.cache.cell_pixels == pytest.approx(DEFAULTS.cache.cell_pixels * (720 / 1080) ** 0.5)
-    assert (doubled.probes, doubled.reflections) == (DEFAULTS.probes, DEFAULTS.reflections)
-    # A region of a large frame has the cells of the whole.
+
+
+def test_frames_of_twice_the_size_have_more_probes() -> None:
+    """Have a probe a tile in frames of 1280x720 that stand for a small picture, unless nobody sees them."""
+    doubled, unseen = (densified(DEFAULTS, 1280, 720, 720, "cuda:0", 2, seen=seen) for seen in (True, False))
+    assert doubled.probes.spawn_tile == DEFAULTS.probes.spawn_tile // 2
+    assert doubled.reflections == DEFAULTS.reflections
+    assert (unseen.probes, unseen.cache) == (DEFAULTS.probes, doubled.cache)
+    assert densified(DEFAULTS, 1920, 1080, 1080, "cuda:0", 2).probes == DEFAULTS.probes
+
+
+def test_parts_have_the_cells_of_the_whole() -> None:
+    """Let a region of a large frame have its cells."""
     assert densified(DEFAULTS, 640, 360, 2160, "cuda:0").cache == DEFAULTS.cache
 
 
@@ -94,7 +105,7 @@ def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = scenes.camera_above(3.0, 1.0, orthographic=False)
     counts, means = [], []
     for where in ("cpu", "cuda:0"):
-        monkeypatch.setattr(realtime, "densified", lambda *given, where=where: densified(*given[:4], where))
+        monkeypatch.setattr(realtime, "densified", lambda *given, where=where, **seen: densified(*given[:4], where, **seen))
         session = Session(FRAMES)
         session.update(scenes.delta(meshes, objects, {"white": floor}, lamps, 0.2))
         session.configure(FRAMES, camera, 240, 136)
