@@ -105,7 +105,8 @@ def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = scenes.camera_above(3.0, 1.0, orthographic=False)
     counts, means = [], []
     for where in ("cpu", "cuda:0"):
-        monkeypatch.setattr(realtime, "densified", lambda *given, where=where, **seen: densified(*given[:4], where, **seen))
+        monkeypatch.setattr(
+            realtime, "densified", lambda *given, where=where, **seen: densified(*given[:4], where, **seen))
         session = Session(FRAMES)
         session.update(scenes.delta(meshes, objects, {"white": floor}, lamps, 0.2))
         session.configure(FRAMES, camera, 240, 136)
