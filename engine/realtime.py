@@ -53,9 +53,10 @@ FILLING_FRAMES = {"cpu": 2, "cuda": 4}
 """So many each time: on a processor one takes two thirds of a sample's time"""
 LONG_PATHS = 3.4
 """Rays of a path, shadow rays left out, from which on ends in the cache pay for the frames: outdoors they don't"""
-LEAST_PIXELS = {"cpu": 240 * 135, "cuda": 480 * 270}
-"""Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light. On a
-GPU their samples take a fraction of the time that frames do"""
+LEAST_PIXELS = 240 * 135
+"""Of pictures whose paths end in the cache: in smaller ones it has too few rays, and up to 5 % too little light"""
+LEAST_FILLED = {"cpu": LEAST_PIXELS, "cuda": 480 * 270}
+"""Pixels of those that have frames for it: samples of small pictures take less of a GPU's time than these would"""
 MANY_BOUNCES = 24
 """Limit of a path's bounces from which on the light beyond it does not count: all that cells know may be added"""
 
@@ -225,13 +226,13 @@ class Realtime:
 
     def _filled_until(self) -> int:
         """Return how many samples there are when the next frame fills the cache."""
-        starts = FILLING_AT[self._kind]
+        starts, pixels = FILLING_AT[self._kind], self._size[0] * self._size[1]
         turn = self.frames // FILLING_FRAMES[self._kind]
-        if self._whole_paths or turn >= len(starts) or not self._ends_paths:
+        if self._whole_paths or turn >= len(starts) or not self._ends_paths or pixels < LEAST_FILLED[self._kind]:
             return 1 << 30
         if self.frames == 0 and self.reference.samples_done == starts[0]:
             # Asked once: the device is waited for.
-            rays = self.reference.rays / (self._size[0] * self._size[1] * starts[0])
+            rays = self.reference.rays / (pixels * starts[0])
             self._whole_paths = rays < LONG_PATHS
         return 1 << 30 if self._whole_paths else starts[turn]
 
@@ -271,7 +272,7 @@ class Realtime:
         cache, limit = self._settings.cache, self._settings.light_paths.max_bounces
         whole = cache.bounces == 0 and (limit == 0 or limit >= MANY_BOUNCES)
         return (cache.ends_paths and whole and cache.key == CacheKey.NORMAL
-                and self._size[0] * self._size[1] >= LEAST_PIXELS[self._kind])
+                and self._size[0] * self._size[1] >= LEAST_PIXELS)
 
     def _ending(self, options: Options) -> Options:
         """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""

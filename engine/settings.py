@@ -142,7 +142,7 @@ class ProbeSettings:
     dense_small: bool = setting(
         True, "Give pictures of 240x135 to 960x540 pixels as many rays as a 1080p frame has, on a GPU, which they "
         "leave idle otherwise: twice as many probes along each side, a reflection ray for each pixel and finer cells, "
-        "less noise and sharper light for half a millisecond a frame")
+        "less noise and sharper light for about a millisecond a frame")
     contact_detail: bool = setting(
         False, "Find indirect light and shadow between probes from nearby pixels: slightly finer corners and contacts "
         "for a search around every pixel, the dearest pass of all")
@@ -192,7 +192,7 @@ class CacheSettings:
         "Off: they throw it back on all sides until path tracing takes over")
     ends_paths: bool = setting(
         True, "Let path-traced samples end in the cache after two bounces: less noise in the same time. From the 64th "
-        "on ever fewer do, so that the limit stays path tracing's")
+        "on ever fewer do, so that the limit stays path tracing's. None do where bounces are limited to fewer than 24")
 
 
 @dataclass(frozen=True, kw_only=True)
