@@ -154,7 +154,9 @@ class Pipeline(FramePasses):
         return self._picture
 
     def counts(self) -> dict[str, int]:
-        """Return what the last frame counted. Waits for the device."""
+        """Return what the last frame counted; nothing before the first. Waits for the device."""
+        if not self._ready:
+            return {}
         counts = {"primary rays": self.gbuffer.width * self.gbuffer.height}
         if self.direct in self._recorded:
             counts |= self.direct.stats(self._parity)

@@ -159,7 +159,7 @@ def test_first_samples_do_without_frames():
     """Trace two samples at once: they tell whether frames would pay, and a picture of no more is done before."""
     made = open_session(Integrator.REALTIME)
     made.step(2)
-    assert made._realtime.frames == 0
+    assert made._realtime.frames == 0 and made.counts() == {}
 
 
 @pytest.mark.parametrize("limits", [
