@@ -177,7 +177,10 @@ class Pipeline(FramePasses):
         self, parity: int, resting: bool, phase: LightPhase, unseen: bool, scene: DeviceScene, views: wp.array,
         motion: Motion,
     ) -> tuple[FrameGraph, wp.array | None, list]:
-        """Record a frame: the method in its order. With `resting` pixels gather indirect light themselves."""
+        """Record a frame: the method in its order.
+
+        With `resting` pixels gather indirect light themselves; an `unseen` frame ends with the radiance cache.
+        """
         self._recorded = []
         self._prepare(self.gbuffer, self.cache, self.probes)
         graph, kernels_scene = FrameGraph(self.device), light_scene(scene.scene, self._settings.direct_light)
