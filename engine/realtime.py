@@ -80,8 +80,6 @@ class Realtime:
         self._denoised = False
         self._moved = self._lit = False
         self._whole_paths = False
-        self._unseen = False
-        """Whether the newest frame was only for the cache"""
         self._blended = False
         self._resolved: wp.array | None = None
         self._ending_options: tuple[Options, Options] | None = None
@@ -102,19 +100,19 @@ class Realtime:
             light_passes: Names from LIGHT_PASSES (passes/composite.py) that will be read.
             denoised: Whether the picture is going to be denoised.
         """
-        if denoised != self._denoised:
-            # Frames that nobody sees are others.
-            self._denoised, self._settings = denoised, None
-        old = self._settings
-        size = width, height, lines
-        if same_frames(settings, old) and (size, light_passes) == (self._size, self._light_passes):
-            self._settings = settings
+        old, size = self._settings, (width, height, lines)
+        same = (size, light_passes, denoised) == (self._size, self._light_passes, self._denoised)
+        if same and same_frames(settings, old):
+            alone, self._settings = self._traced_alone, settings
             if settings.debug != old.debug:
                 self.pipeline.show(settings.debug.view)
                 # The blend at rest would take the newest frame for the picture that it blends with.
                 self._forget_samples()
+                if alone != self._traced_alone:
+                    # Unseen frames ask no probe for its light.
+                    self._empty_pipeline()
             return
-        self._settings, self._size, self._light_passes = settings, size, light_passes
+        self._settings, self._size, self._light_passes, self._denoised = settings, size, light_passes, denoised
         film, supersampling = settings.film, self._supersampling
         self._filter = wp.array(filter_table(film.pixel_filter, film.filter_width), dtype=float, device=self.device)
         self._film = None
@@ -126,6 +124,7 @@ class Realtime:
 
     def _empty_pipeline(self) -> None:
         """Set the pipeline up without any history; its buffers come with the first frame."""
+        self.views.restart()
         factor = self._supersampling.factor
         fine = tuple(factor * side for side in self._size)
         self.pipeline.configure(
@@ -134,12 +133,9 @@ class Realtime:
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
-        self._forget_frames()
-        self._forget_samples()
-
-    def _forget_frames(self) -> None:
         self.views.restart()
         self.pipeline.reset()
+        self._forget_samples()
 
     def note(self, *, moved: bool, lit: bool) -> None:
         """Take in that the scene has changed since the last frame: objects moved, light or materials were edited."""
@@ -222,7 +218,6 @@ class Realtime:
         except OutOfDeviceMemory:
             self._whole_paths = True
             self._empty_pipeline()
-            self.views.restart()
 
     def _filled_until(self) -> int:
         """Return how many samples there are when the next frame fills the cache."""
@@ -238,10 +233,6 @@ class Realtime:
 
     def _frame(self, scene: DeviceScene, camera: np.ndarray, unseen: bool = False) -> None:
         settings, camera = self._settings, self._supersampling.camera(camera)
-        if self._unseen and not unseen:
-            # Unseen frames ask no probe for its light.
-            self._forget_frames()
-        self._unseen = unseen
         if self.views.moved_by(camera) > KEYS_REPEAT * smallest_cell(settings.cache, scene.radius):
             self.restart()
         self.views.advance(
