@@ -18,7 +18,7 @@ from .lamp_hit import FAR
 from .packing import rgb, unpack_normal
 from .paths import ENDED, PENDING_NONE, Paths, store_hit
 from .probe_rays import ProbeRays
-from .sampling import hash_combine, hashed_unit, pixel_seed_of, sample_cosine, sample_pair
+from .sampling import hash32, hash_combine, hashed_unit, pixel_seed_of, sample_cosine, sample_pair
 from .types import VISIBLE_DIFFUSE, Scene
 from .view import View, settling_frames
 
@@ -76,7 +76,7 @@ class Vertices:
     far: wp.array[int]
     """Per bounce ray: wide cell about its source, NO_CELL for none"""
     beyond: wp.array[int]
-    """Per bounce ray, while light spreads: coarse cell about its hit, NO_CELL for none"""
+    """Per bounce ray, while light spreads: coarse cell about its hit, or wide one, NO_CELL for none"""
 
 
 @wp.func
@@ -183,7 +183,12 @@ def send_bounce(
         side = -side
         normal = -normal
         share = 1.0 - share
-    direction = wp.normalize(to_frame(normal, sample_cosine(sample_pair(seed, index, DIMENSION_BOUNCE))))
+    # The slot's ray of the frame before has had the sequence's neighbouring point. Where this one goes on from its end,
+    # the next would turn away from where that came from: cells got 2 to 5 % less of the light of one bright place.
+    turn = index
+    if origin == slot:
+        turn = hash32(index)
+    direction = wp.normalize(to_frame(normal, sample_cosine(sample_pair(seed, turn, DIMENSION_BOUNCE))))
     if not wp.dot(direction, side) > 0.0:
         # Below the triangle: absorbed, as the path tracer does. The sample counts as black.
         return

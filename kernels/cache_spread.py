@@ -154,28 +154,45 @@ def measure_balance(
     control_out.factors[1] = sample_factor
 
 
+@wp.func
+def is_told(grid: HashGrid, view: View, control: CacheControl, cell: int) -> bool:
+    """Return whether a coarse cell has samples of this frame, or of others since the last edit of light."""
+    return grid.touched[cell] == view.frame or (control.age[0] > 0 and grid.indirect[cell][3] > 0.0)
+
+
 @wp.kernel
 def find_beyond(
-    first: int,
     # In:
     views: wp.array[View],
-    grid: HashGrid,
+    control: CacheControl,
     paths: Paths,
     count: int,
     # Out:
+    grid_out: HashGrid,
     vertices_out: Vertices,
 ):
-    """Find the coarse cells about the bounce rays' hits, which stand in for cells without indirect light."""
+    """Find the coarse cells about the bounce rays' hits, which stand in for cells without indirect light.
+
+    Wide ones where no bounce ray has told a coarse one anything; these are marked, as all bounces know them. All that
+    mark a cell write the same.
+    """
     view = views[0]
     if not sweeping(view):
         return
-    bounce = first + wp.tid()
+    bounce = wp.tid()
     slot = count + bounce
     vertices_out.beyond[bounce] = NO_CELL
     if vertices_out.emission[slot][3] == IDLE or vertices_out.source[bounce] == NO_CELL:
         return
-    vertices_out.beyond[bounce] = find_key(grid, coarse_key(
-        grid, view, hit_place(grid, paths, vertices_out, slot), paths.direction[slot], cell_seed(slot, view.frame)))
+    key = coarse_key(
+        grid_out, view, hit_place(grid_out, paths, vertices_out, slot), paths.direction[slot],
+        cell_seed(slot, view.frame))
+    beyond = find_key(grid_out, key)
+    if beyond == NO_CELL or not is_told(grid_out, view, control, beyond):
+        beyond = find_key(grid_out, wide_key(grid_out, key))
+        if beyond != NO_CELL:
+            grid_out.linked[beyond] = view.frame + 1
+    vertices_out.beyond[bounce] = beyond
 
 
 @wp.kernel
@@ -308,3 +325,7 @@ def spread_light(
     if coarse != NO_CELL:
         add_sample(grid_out.sums, 6 * coarse + 3, sample)
         wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
+    wide = vertices_out.far[bounce]
+    if wide != NO_CELL and grid_out.linked[wide] == views[0].frame + 1:
+        add_sample(grid_out.sums, 6 * wide + 3, sample)
+        wp.atomic_add(grid_out.counts, 2 * wide + 1, 1)

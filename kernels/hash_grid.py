@@ -69,7 +69,8 @@ class HashGrid:
     touched: wp.array[int]
     """Frame in which a ray last met the cell"""
     linked: wp.array[int]
-    """While light spreads: one more than the frame in which a bounce ray last started from the cell"""
+    """While light spreads: one more than the frame in which a bounce ray last started from the cell, or in which a wide
+    cell last stood in for others"""
     sums: wp.array[wp.int64]
     """This frame's samples, 6 a slot (direct, indirect), in units of 1 / FIXED_ONE"""
     counts: wp.array[int]

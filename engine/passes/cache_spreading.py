@@ -110,7 +110,8 @@ def record_spreading(
     graph.launch(cache_spread.measure_balance, 1, [views, 0], [control], banded=False)
     if not all_bounces:
         return
-    graph.launch(cache_spread.find_beyond, bounces, [views, grid, paths, count], [vertices])
+    graph.launch(
+        cache_spread.find_beyond, bounces, [views, control, paths, count], [grid, vertices], banded=False)
     # Of a million cells some thousand are in use.
     graph.clear(live.count)
     graph.launch(

@@ -156,7 +156,7 @@ def test_branches_do_not_race():
     motion = pipeline.motion.advance(made._scene)
     cells = frozenset(addresses([pipeline.cache.grid, pipeline.cache.control]))
     seen = pipeline.gbuffer
-    surfaces = frozenset(addresses([seen.current(0), seen.hits]))
+    surfaces = frozenset(addresses([seen.current(0), seen.hits] + ([seen.raster.seen] if seen.raster else [])))
     for (resting, unseen), phase in itertools.product(((False, False), (True, False), (False, True)), LightPhase):
         graph, *_ = pipeline._record(0, resting, phase, unseen, made._scene, views.array, motion)
         sections = {step.section for step in graph._steps}

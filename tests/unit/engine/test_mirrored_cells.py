@@ -20,11 +20,20 @@ def bulb_room():
 
 
 def test_walls_in_mirrors_have_no_sparks():
-    """Show an even wall as such after some frames: single cells have met the bright wall about the bulbs, or not."""
-    samples = Samples(bulb_room(), look_at((0.8, -1.6, 0.0), (0.0, 1.98, -0.1), SIZE, 0.45))
-    for _ in range(8):
-        samples.frame()
-    light = samples.radiance()[0][samples.albedo("specular").mean(-1) > 0.5].mean(-1)
-    assert light.size > 400 and light.mean() > 0.08
-    # 3.6 and 70 by the cells alone.
-    assert light.std() < 2.2 * light.mean() and light.max() < 40.0 * light.mean()
+    """Show an even wall as such after some frames: single cells have met the bright wall about the bulbs, or not.
+
+    Which ones is chance: so in the mean of four views, and of ten frames of each.
+    """
+    spread, brightest = [], []
+    for x in (0.76, 0.79, 0.82, 0.85):
+        samples = Samples(bulb_room(), look_at((x, -1.6, 0.0), (0.0, 1.98, -0.1), SIZE, 0.45))
+        for frame in range(12):
+            samples.frame()
+            if frame < 2:
+                continue
+            light = samples.radiance()[0][samples.albedo("specular").mean(-1) > 0.5].mean(-1)
+            assert light.size > 400 and light.mean() > 0.04
+            spread.append(light.std() / light.mean())
+            brightest.append(light.max() / light.mean())
+    # 1.9 and 25 by the cells alone.
+    assert np.mean(spread) < 1.6 and np.mean(brightest) < 19.0

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tests of the real-time integrator's light: energy, leaks, corners, contacts, and light that goes on and off."""
 
-import pytest
+from dataclasses import replace
 
-from tests import light_checks
+import pytest
+from burnish.engine.session import Session
+from burnish.engine.settings import CacheSettings, DenoiserSettings, Integrator, SamplingSettings
+
+from tests import light_checks, scenes
 from tests.light_checks import Setup
 
 SMALL = Setup((48, 36), truth_samples=256)
@@ -68,3 +72,41 @@ def test_contact():
 def test_nothing_trails_behind_a_mover():
     """Find the steady state 8 frames after a ball has passed."""
     check(light_checks.mover(LARGE))
+
+
+def mean_in_hall(integrator, size, steps, cell_pixels=32.0):
+    """Return the mean light on the floor of a hall whose lamp shines from close by at the ceiling."""
+    hall = scenes.delta(
+        {"hall": scenes.box(4.0, inward=True)}, [("hall", scenes.place(z=4.0), "white")],
+        {"white": scenes.material(color=0.7)}, [scenes.lamp("POINT", 500.0, scenes.place(3.0, 1.0, 7.5), radius=0.1)])
+    settings = replace(
+        scenes.SETTINGS, sampling=SamplingSettings(integrator=integrator),
+        cache=CacheSettings(capacity=20, cell_pixels=cell_pixels), denoiser=DenoiserSettings(path_traced_rest=False))
+    made = Session(settings)
+    made.update(hall)
+    made.configure(settings, scenes.camera_above(3.0, 1.0), *size)
+    made.step(steps)
+    return made.read()[..., :3].mean()
+
+
+@pytest.fixture(scope="module")
+def hall_truth():
+    """Return the hall's mean light, path-traced."""
+    return mean_in_hall(Integrator.REFERENCE, (60, 34), 1024)
+
+
+def test_one_bright_place_lights_a_hall(hall_truth):
+    """Find all light, within 1 %, where most comes from one place, a square metre of the ceiling.
+
+    Rays that went on from where the slot's last one had ended went the other way than that: cells that it had met from
+    the bright place had too little of its light, and the hall 1.4 % less after these frames, 2.4 % after a hundred.
+    """
+    assert mean_in_hall(Integrator.REALTIME, (240, 136), 32) == pytest.approx(hall_truth, rel=0.01)
+
+
+def test_light_spreads_over_more_cells_than_rays(hall_truth):
+    """Find it in the first frame, within 2 %, where most hits are in cells that no bounce ray starts from.
+
+    Wide cells stand in for these in the frame's sweeps; without, 6 % of the light was lost.
+    """
+    assert mean_in_hall(Integrator.REALTIME, (480, 272), 1, 16.0) == pytest.approx(hall_truth, rel=0.02)

@@ -10,7 +10,7 @@ from burnish.engine.passes.cache_spreading import SWEEPS, LightPhase
 from burnish.engine.program import ProgramBuilder
 from burnish.engine.scene import MaterialData, SceneDelta, WorldData
 from burnish.engine.session import Session
-from burnish.engine.settings import CacheSettings, Integrator, SamplingSettings
+from burnish.engine.settings import CacheSettings, Device, Integrator, SamplingSettings
 from burnish.kernels.cache_spread import SWEEP_FRAMES
 
 from tests import scenes
@@ -98,7 +98,8 @@ FEATURES = {
         "highlights in mirrors", SceneDelta(lights=[LAMP]), SceneDelta(lights=[]), ("choose_glossy", "resolve_glossy"),
         scene=room(metal(0.4), lights=(), background=0.0)),
     "transparency": Feature(
-        "alpha layers", ball(scenes.transparent(0.5, color=0.5)), ball(MATTE), ("layer", "filter_primary")),
+        "alpha layers", ball(scenes.transparent(0.5, color=0.5)), ball(MATTE),
+        ("layer" if SETTINGS.device == Device.CPU else "veil", "filter_primary")),
     "an emissive mesh": Feature(
         "emissive meshes", ball(scenes.emitter(5.0)), ball(MATTE), ("bake_emitters",), ("Direct light",),
         ("direct shadow rays",), room(lights=())),
