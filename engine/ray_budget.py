@@ -64,17 +64,13 @@ def densified(
     small = is_small(width, height)
     if device == "cpu" or not (probes.dense_small and (small or factor > 1)):
         return settings
-    # Probes that are twice as near take a seventh off the error of first frames, for 2 ms of them and 1 ms of others.
-    denser = seen and width * height <= HALF_RATE_PIXELS
-    if small or denser:
-        settings = replace(settings, probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))))
     # Cells are seen smaller by the root of the lines (wanted_size in kernels/hash_grid.py). With as many rays as 1080p
-    # frames they can be as small in the scene as there; where frames are larger than the picture and have more probes
-    # besides, half as wide, unless they are a part of one that has neither.
+    # frames they can be as small in the scene as there; with four times as many as before, half as wide at least.
     shrink = max(math.sqrt(min(lines / float(SCREEN_LINES), 1.0)), LEAST_SHRINK)
-    if denser and factor > 1 and lines <= int(SCREEN_LINES):
-        shrink = LEAST_SHRINK
     settings = replace(settings, cache=replace(cache, cell_pixels=cache.cell_pixels * shrink))
+    # Probes that are twice as near take a seventh off the error of first frames, for 2 ms of them and 1 ms of others.
+    if small or (seen and width * height <= HALF_RATE_PIXELS):
+        settings = replace(settings, probes=replace(probes, spawn_tile=max(probes.spawn_tile // 2, int(TILE))))
     return settings if not small else replace(
         settings,
         reflections=replace(reflections, resolution=DENSER.get(reflections.resolution, reflections.resolution)))
