@@ -47,8 +47,9 @@ LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 ENDED_SAMPLES = 64
 """Samples of which all paths may end in the cache"""
-FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (2, 16, 64, 160)}
-"""Samples after which frames fill the cache, unseen: fewer times on a GPU, where each waits for its longest paths"""
+FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (8, 24, 64, 160)}
+"""Samples after which frames fill the cache, unseen: fewer times on a GPU, where each waits for its longest paths, and
+later, where the first take as long as five samples"""
 FILLING_FRAMES = {"cpu": 2, "cuda": 4}
 """So many each time: on a processor one takes two thirds of a sample's time"""
 LONG_PATHS = 3.4

@@ -27,6 +27,8 @@ wp.set_module_options({"enable_backward": False})
 SIZE = (240, 136) if scenes.SETTINGS.device == Device.CPU else (480, 272)
 """Smallest picture, or about it, whose paths end"""
 CAPACITY = 18 if scenes.SETTINGS.device == Device.CPU else 20
+FIRST = realtime.FILLING_AT["cpu" if scenes.SETTINGS.device == Device.CPU else "cuda"][0]
+"""Samples before the first frames that fill the cache"""
 SAMPLES = 24
 
 
@@ -103,23 +105,23 @@ def test_later_samples_end_ever_less():
 def test_frames_fill_the_cache_unseen():
     """Have frames between samples that are neither counted nor seen; none in small pictures or with whole paths."""
     made = open_session(Integrator.REALTIME)
-    assert made.step(3) == 3 and not made._realtime.shows_frames
+    assert made.step(FIRST + 1) == FIRST + 1 and not made._realtime.shows_frames
     kind = "cuda" if made._realtime.reference.cuda else "cpu"
     each, starts = realtime.FILLING_FRAMES[kind], realtime.FILLING_AT[kind]
     assert made._realtime.frames == each
-    assert made.step(28) == 31
+    made.step(30 - FIRST)
     assert made._realtime.frames == each * sum(start < 31 for start in starts) == {"cpu": 3, "cuda": 2}[kind] * each
     _, rays = traced(made, ends=False)
     assert made._realtime.frames == 0 and rays > 2.0
     small = open_session(Integrator.REALTIME, size=(48, 32))
-    small.step(5)
+    small.step(FIRST + 3)
     assert small._realtime.frames == 0
 
 
 def test_unseen_frames_have_surfaces_and_the_cache_alone():
     """Launch and allocate nothing that only a picture needs."""
     made, seen = open_session(Integrator.REALTIME), open_session(Integrator.REALTIME, passes=("Combined",))
-    made.step(3)
+    made.step(FIRST + 1)
     seen.step(1)
     sections, all_sections = ({name for name, _ in each.pipeline.launches()} for each in (made, seen))
     assert sections < all_sections and {"Materials", "Probe rays", "Cache cells"} < sections
@@ -131,7 +133,7 @@ def test_unseen_frames_have_surfaces_and_the_cache_alone():
 def test_frames_after_unseen_ones_are_the_first():
     """Forget the probes of unseen frames, which no ray has told its light, before a frame is seen."""
     made, fresh = open_session(Integrator.REALTIME), open_session(Integrator.REALTIME, passes=("Combined",))
-    made.step(3)
+    made.step(FIRST + 1)
     made.configure(made.settings, camera_above(3.0, 1.0), *SIZE)
     for each in (made, fresh):
         each.step(2)
@@ -141,7 +143,7 @@ def test_frames_after_unseen_ones_are_the_first():
 def test_debug_views_after_unseen_frames_begin_anew():
     """Show what the first frames have, although the picture is going to be denoised: nothing of unseen ones."""
     made, fresh = open_session(Integrator.REALTIME), open_session(Integrator.REALTIME)
-    made.step(3)
+    made.step(FIRST + 1)
     for each in (made, fresh):
         shown = replace(each.settings, debug=DebugSettings(view="probes.radiance"))
         each.configure(shown, camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
@@ -167,14 +169,14 @@ def test_frames_that_do_not_fit_are_done_without(monkeypatch):
 
     made = open_session(Integrator.REALTIME)
     monkeypatch.setattr(realtime.Realtime, "_frame", fail)
-    assert made.step(6) == 6 and made._realtime.frames == 0
+    assert made.step(FIRST + 4) == FIRST + 4 and made._realtime.frames == 0
     assert made.read()[..., :3].max() > 0.0
 
 
 def test_first_samples_do_without_frames():
-    """Trace two samples at once: they tell whether frames would pay, and a picture of no more is done before."""
+    """Trace the first samples at once: they tell whether frames would pay, and a picture of no more is done before."""
     made = open_session(Integrator.REALTIME)
-    made.step(2)
+    made.step(FIRST)
     assert made._realtime.frames == 0 and made.counts() == {}
 
 
@@ -189,7 +191,7 @@ def test_limits_of_bounces_are_kept(limits, ends):
     """
     made = open_session(Integrator.REALTIME)
     made.configure(replace(made.settings, **limits), camera_above(3.0, 1.0), *SIZE, passes=("Combined", DENOISED))
-    made.step(4)
+    made.step(FIRST + 2)
     assert (made._realtime.frames > 0) == ends
 
 
