@@ -47,7 +47,7 @@ LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 ENDED_SAMPLES = 64
 """Samples of which all paths may end in the cache"""
-FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (8, 24, 64, 160)}
+FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (8, 40, 120)}
 """Samples after which frames fill the cache, unseen: fewer times on a GPU, where each waits for its longest paths, and
 later, where the first take as long as five samples"""
 FILLING_FRAMES = {"cpu": 2, "cuda": 4}
@@ -83,8 +83,10 @@ class Realtime:
         self._whole_paths = False
         self._blended = False
         self._resolved: wp.array | None = None
-        self._ending_options: tuple[Options, Options] | None = None
-        """Those that were given and those with which paths may end in the cache"""
+        self._ending_options: Options | None = None
+        """Those with which paths may end in the cache"""
+        self._ending_for: tuple | None = None
+        """What they were made of, and how many frames had been recorded: these change what is in the grid"""
         self._supersampling = Supersampling(device)
         self._shown: wp.array | None = None
         """What frames show, at the picture's size"""
@@ -125,6 +127,7 @@ class Realtime:
 
     def _empty_pipeline(self) -> None:
         """Set the pipeline up without any history; its buffers come with the first frame."""
+        self._ending_options = self._ending_for = None
         self.views.restart()
         factor = self._supersampling.factor
         fine = tuple(factor * side for side in self._size)
@@ -154,7 +157,6 @@ class Realtime:
         self._blend.reset()
         self._blended = False
         self._resolved = None
-        self._ending_options = None
         self._whole_paths = False
         if self._film is not None:
             self._film.clear()
@@ -270,14 +272,18 @@ class Realtime:
         """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""
         if self.frames == 0 or not self._ends_paths:
             return options
-        # The same object as long as it is the same: launches are recorded with it.
-        if self._ending_options is None or self._ending_options[0] is not options:
+        views, grid, made = self.views.array, self.pipeline.cache.grid, self._ending_for
+        if made is None or made[3] != self.pipeline.records or not (
+                made[0] is options and made[1] is views and made[2] is grid):
+            self._ending_for = options, views, grid, self.pipeline.records
             known = KnownLight()
-            known.samples, known.views, known.grid = ENDED_SAMPLES, self.views.array, self.pipeline.cache.grid
+            known.samples, known.views, known.grid = ENDED_SAMPLES, views, grid
             ending = copy_struct(options)
             ending.known = known
-            self._ending_options = options, ending
-        return self._ending_options[1]
+            # The same object as long as it has the same numbers and addresses: launches are recorded with it.
+            if self._ending_options is None or bytes(self._ending_options._ctype) != bytes(ending._ctype):
+                self._ending_options = ending
+        return self._ending_options
 
     def _samples_film(self) -> FilmBuffers:
         """Return the film of path-traced samples, made when it is first asked for."""

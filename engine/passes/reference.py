@@ -256,8 +256,10 @@ class ReferencePass:
             if options.passes == 1:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
             batch = frame, filter_table, (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop
+            # Pictures begin with whole paths and go on with those that end in the cache: both loops are kept.
             ended = slot.trace(
-                "paths", (scene, options, slot.light and slot.light.film.scene_groups, self.media),
+                "paths" if options.known.samples == 0 else "ending paths",
+                (scene, options, slot.light and slot.light.film.scene_groups, self.media),
                 lambda: path_steps(slot, scene, options), *batch,
                 slot.media and (lambda total: slot.media.start(slot, scene, total)))
             if ended and self.catchers is not None:
