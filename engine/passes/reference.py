@@ -69,6 +69,9 @@ GUIDE_BYTES = 28
 MEMORY_SHARE = 0.25
 """Of the device's free memory that path states may take"""
 
+WHOLE_PATHS, ENDING_PATHS = "paths", "ending paths"
+"""Loops of a band"""
+
 # Not a limit of the integrator: roulette ends every path long before, unless a scene keeps all light for ever.
 BOUNCE_STOP = 4096
 
@@ -257,8 +260,9 @@ class ReferencePass:
                 launch(film.clear_surfaces, band.count * count, [], [slot.paths], self.device)
             batch = frame, filter_table, (band.first, band.count), (band.samples, count), BOUNCE_STOP, should_stop
             # Pictures begin with whole paths and go on with those that end in the cache: both loops are kept.
+            slot.keep_for(scene, WHOLE_PATHS, ENDING_PATHS)
             ended = slot.trace(
-                "paths" if options.known.samples == 0 else "ending paths",
+                WHOLE_PATHS if options.known.samples == 0 else ENDING_PATHS,
                 (scene, options, slot.light and slot.light.film.scene_groups, self.media),
                 lambda: path_steps(slot, scene, options), *batch,
                 slot.media and (lambda total: slot.media.start(slot, scene, total)))

@@ -19,7 +19,7 @@ import warp as wp
 
 from ...kernels import path_lists, tracing
 from ...kernels.paths import Paths
-from ...kernels.types import Closure, FrameData
+from ...kernels.types import Closure, FrameData, Scene
 from ..device import launch, record
 from ..lean import LeanPrograms
 from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
@@ -115,6 +115,14 @@ class Wavefront:
     def forget_rays(self) -> None:
         """Count rays anew."""
         self._rays.zero_()
+
+    def keep_for(self, scene: Scene, *names: str) -> None:
+        """Drop those of the named loops that were recorded for another scene: they would keep its arrays."""
+        for name in names:
+            kept = self._records.get(name)
+            if kept is not None and kept[0][0] is not scene:
+                del self._records[name]
+                self._graphs.pop(name, None)
 
     def trace(
         self, name: str, made_for: tuple, steps: Callable[[], list[Step]], frame: np.ndarray, table: wp.array,

@@ -222,6 +222,9 @@ def test_launches_are_recorded_once(monkeypatch):
         each.update(SceneDelta(materials={"white": scenes.material(color=0.4)}))
         each.step(FIRST + 4)
     assert made.read()[..., :3].mean() == pytest.approx(fresh.read()[..., :3].mean(), rel=0.02)
+    # Nothing is left that holds what the scene was before.
+    for slot in made._realtime.reference.slots:
+        assert len({id(made_for[0]) for made_for, _ in slot._records.values()}) == 1
     made.configure(made.settings, camera_above(3.0, 1.0), SIZE[0], SIZE[1] + 8, passes=("Combined", DENOISED))
     made.step(FIRST + 4)
     assert made._realtime._ending_options is not kept
