@@ -57,13 +57,19 @@ def panel_before(size, power):
     return scenes.lamp(LightKind.AREA, power, across, shape="SQUARE", size_x=size, size_y=size)
 
 
-@pytest.mark.parametrize("gather", [False, True])
-def test_a_mirror_lights_the_floor_before_it(gather):
-    """Bring what a mirror shows to the floor before it, the ceiling's lamp too, by probes and by final gather."""
+@pytest.fixture(scope="module")
+def mirror_room():
+    """Return a room with a mirror, its picture, and the one without light over the mirror."""
     room = glossy_scenes.moving_mirror(SIZE)
-    truth = picture(open_session(room.delta, room.camera, Integrator.REFERENCE), 256)
-    found = {follow: picture(open_session(room.delta, room.camera, follow=follow, gather=gather and follow), 48)
-             for follow in (False, True)}
+    return (room, picture(open_session(room.delta, room.camera, Integrator.REFERENCE), 256),
+            picture(open_session(room.delta, room.camera, follow=False, gather=False), 48))
+
+
+@pytest.mark.parametrize("gather", [False, True])
+def test_a_mirror_lights_the_floor_before_it(gather, mirror_room):
+    """Bring what a mirror shows to the floor before it, the ceiling's lamp too, by probes and by final gather."""
+    room, truth, without = mirror_room
+    found = {False: without, True: picture(open_session(room.delta, room.camera, gather=gather), 48)}
     floor = np.zeros(SIZE[::-1], bool)
     floor[4:12, 4:40] = True
     lit, off = (found[follow][floor].mean() / truth[floor].mean() for follow in (True, False))

@@ -76,7 +76,7 @@ def traced(made, ends, seed=1, samples=SAMPLES):
 def truth():
     """Return the room without noise."""
     made = open_session(Integrator.REFERENCE, passes=("Combined",))
-    made.step(192)
+    made.step(96)
     return made.read()[..., :3]
 
 
@@ -230,6 +230,7 @@ def test_launches_are_recorded_once(monkeypatch):
     assert made._realtime._ending_options is not kept
 
 
+@pytest.mark.slow
 def test_pictures_at_rest_end_paths_too(truth):
     """Come as near to the truth at rest, frames and samples together, with fewer rays."""
     errors, rays = {}, {}

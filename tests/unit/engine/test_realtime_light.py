@@ -92,7 +92,7 @@ def mean_in_hall(integrator, size, steps, cell_pixels=32.0):
 @pytest.fixture(scope="module")
 def hall_truth():
     """Return the hall's mean light, path-traced."""
-    return mean_in_hall(Integrator.REFERENCE, (60, 34), 1024)
+    return mean_in_hall(Integrator.REFERENCE, (60, 34), 512)
 
 
 def test_one_bright_place_lights_a_hall(hall_truth):
