@@ -85,7 +85,7 @@ class Realtime:
         self._resolved: wp.array | None = None
         self._ending_options: Options | None = None
         """Those with which paths may end in the cache"""
-        self._ending_for: tuple | None = None
+        self._ending_for: tuple[Options, int] | None = None
         """What they were made of, and how many frames had been recorded: these change what is in the grid"""
         self._supersampling = Supersampling(device)
         self._shown: wp.array | None = None
@@ -272,12 +272,11 @@ class Realtime:
         """Return options with which paths may end in the cache, if that is wanted and frames have filled it."""
         if self.frames == 0 or not self._ends_paths:
             return options
-        views, grid, made = self.views.array, self.pipeline.cache.grid, self._ending_for
-        if made is None or made[3] != self.pipeline.records or not (
-                made[0] is options and made[1] is views and made[2] is grid):
-            self._ending_for = options, views, grid, self.pipeline.records
+        made, records = self._ending_for, self.pipeline.records
+        if made is None or made[0] is not options or made[1] != records:
+            self._ending_for = options, records
             known = KnownLight()
-            known.samples, known.views, known.grid = ENDED_SAMPLES, views, grid
+            known.samples, known.views, known.grid = ENDED_SAMPLES, self.views.array, self.pipeline.cache.grid
             ending = copy_struct(options)
             ending.known = known
             # The same object as long as it has the same numbers and addresses: launches are recorded with it.

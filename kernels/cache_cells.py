@@ -91,6 +91,14 @@ def add_sample(sums: wp.array[wp.int64], first: int, light: wp.vec3):
 
 
 @wp.func
+def add_indirect(grid: HashGrid, cell: int, light: wp.vec3):
+    """Add a sample of indirect light to a cell, if there is one; atomic."""
+    if cell != NO_CELL:
+        add_sample(grid.sums, 6 * cell + 3, light)
+        wp.atomic_add(grid.counts, 2 * cell + 1, 1)
+
+
+@wp.func
 def count_one(control: CacheControl, slot: int, counter: int):
     """Count for the statistics; atomic."""
     wp.atomic_add(control.counters, (slot % LANES) * COUNTERS + counter, 1)
@@ -189,18 +197,10 @@ def accumulate_light(
     if source == NO_CELL:
         return
     grid_out.touched[source] = views[0].frame
-    arrived = vertices.arrived[slot - count]
-    carried = vertices.carried[slot - count]
-    add_sample(grid_out.sums, 6 * source + 3, arrived + carried)
-    wp.atomic_add(grid_out.counts, 2 * source + 1, 1)
-    coarse = vertices.around[slot - count]
-    if coarse != NO_CELL:
-        add_sample(grid_out.sums, 6 * coarse + 3, arrived + carried)
-        wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
-    wide = vertices.far[slot - count]
-    if wide != NO_CELL:
-        add_sample(grid_out.sums, 6 * wide + 3, arrived + carried)
-        wp.atomic_add(grid_out.counts, 2 * wide + 1, 1)
+    sample = vertices.arrived[slot - count] + vertices.carried[slot - count]
+    add_indirect(grid_out, source, sample)
+    add_indirect(grid_out, vertices.around[slot - count], sample)
+    add_indirect(grid_out, vertices.far[slot - count], sample)
 
 
 @wp.kernel

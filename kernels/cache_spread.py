@@ -22,6 +22,7 @@ from .cache_cells import (
     LANES,
     REBALANCE_FRAMES,
     CacheControl,
+    add_indirect,
     add_sample,
     blend,
     from_fixed,
@@ -319,13 +320,8 @@ def spread_light(
         vertices_out.carried[bounce] = finite_or_black(bounced_light(views[0], vertices_out, slot, rgb(light)))
         return
     sample = vertices_out.arrived[bounce] + carried
-    add_sample(grid_out.sums, 6 * source + 3, sample)
-    wp.atomic_add(grid_out.counts, 2 * source + 1, 1)
-    coarse = vertices_out.around[bounce]
-    if coarse != NO_CELL:
-        add_sample(grid_out.sums, 6 * coarse + 3, sample)
-        wp.atomic_add(grid_out.counts, 2 * coarse + 1, 1)
+    add_indirect(grid_out, source, sample)
+    add_indirect(grid_out, vertices_out.around[bounce], sample)
     wide = vertices_out.far[bounce]
     if wide != NO_CELL and grid_out.linked[wide] == views[0].frame + 1:
-        add_sample(grid_out.sums, 6 * wide + 3, sample)
-        wp.atomic_add(grid_out.counts, 2 * wide + 1, 1)
+        add_indirect(grid_out, wide, sample)

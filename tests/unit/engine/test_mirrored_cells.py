@@ -32,7 +32,7 @@ def test_walls_in_mirrors_have_no_sparks():
             if frame < 2:
                 continue
             light = samples.radiance()[0][samples.albedo("specular").mean(-1) > 0.5].mean(-1)
-            assert light.size > 400 and light.mean() > 0.04
+            assert light.size > 400 and light.mean() > 0.08
             spread.append(light.std() / light.mean())
             brightest.append(light.max() / light.mean())
     # 1.9 and 25 by the cells alone.

@@ -26,10 +26,11 @@ from tests import denoised_room, scenes
 from tests.scenes import camera_above
 
 wp.set_module_options({"enable_backward": False})
-SIZE = (240, 136) if scenes.SETTINGS.device == Device.CPU else (480, 272)
+KIND = "cpu" if scenes.SETTINGS.device == Device.CPU else "cuda"
+SIZE = {"cpu": (240, 136), "cuda": (480, 272)}[KIND]
 """Smallest picture, or about it, whose paths end"""
-CAPACITY = 18 if scenes.SETTINGS.device == Device.CPU else 20
-FIRST = realtime.FILLING_AT["cpu" if scenes.SETTINGS.device == Device.CPU else "cuda"][0]
+CAPACITY = {"cpu": 18, "cuda": 20}[KIND]
+FIRST = realtime.FILLING_AT[KIND][0]
 """Samples before the first frames that fill the cache"""
 SAMPLES = 24
 
@@ -108,11 +109,10 @@ def test_frames_fill_the_cache_unseen():
     """Have frames between samples that are neither counted nor seen; none in small pictures or with whole paths."""
     made = open_session(Integrator.REALTIME)
     assert made.step(FIRST + 1) == FIRST + 1 and not made._realtime.shows_frames
-    kind = "cuda" if made._realtime.reference.cuda else "cpu"
-    each, starts = realtime.FILLING_FRAMES[kind], realtime.FILLING_AT[kind]
+    each, starts = realtime.FILLING_FRAMES[KIND], realtime.FILLING_AT[KIND]
     assert made._realtime.frames == each
-    made.step(30 - FIRST)
-    assert made._realtime.frames == each * sum(start < 31 for start in starts) == {"cpu": 3, "cuda": 1}[kind] * each
+    assert made.step(30 - FIRST) == 31
+    assert made._realtime.frames == each * sum(start < 31 for start in starts) == {"cpu": 3, "cuda": 1}[KIND] * each
     _, rays = traced(made, ends=False)
     assert made._realtime.frames == 0 and rays > 2.0
     small = open_session(Integrator.REALTIME, size=(48, 32))
@@ -210,14 +210,14 @@ def test_launches_are_recorded_once(monkeypatch):
 
     made = open_session(Integrator.REALTIME)
     made.step(FIRST + 4)
+    kept, slots = made._realtime._ending_options, len(made._realtime.reference.slots)
     monkeypatch.setattr(Wavefront, "_record", count)
-    slots = len(made._realtime.reference.slots)
     for _ in range(2):
         made.reset()
         made.step(FIRST + 4)
     # A thread may have traced nothing of one kind so far.
-    assert len(records) <= 2 * slots and made._realtime.frames > 0
-    kept, fresh = made._realtime._ending_options, open_session(Integrator.REALTIME)
+    assert len(records) <= 2 * slots and made._realtime.frames > 0 and made._realtime._ending_options is kept
+    fresh = open_session(Integrator.REALTIME)
     for each in (made, fresh):
         each.update(SceneDelta(materials={"white": scenes.material(color=0.4)}))
         each.step(FIRST + 4)

@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 import pytest
-from burnish.engine.session import Session
 from burnish.engine.settings import CacheSettings, DenoiserSettings, Integrator, SamplingSettings
 
 from tests import light_checks, scenes
@@ -82,11 +81,7 @@ def mean_in_hall(integrator, size, steps, cell_pixels=32.0):
     settings = replace(
         scenes.SETTINGS, sampling=SamplingSettings(integrator=integrator),
         cache=CacheSettings(capacity=20, cell_pixels=cell_pixels), denoiser=DenoiserSettings(path_traced_rest=False))
-    made = Session(settings)
-    made.update(hall)
-    made.configure(settings, scenes.camera_above(3.0, 1.0), *size)
-    made.step(steps)
-    return made.read()[..., :3].mean()
+    return scenes.render(hall, scenes.camera_above(3.0, 1.0), size, steps, settings)[..., :3].mean()
 
 
 @pytest.fixture(scope="module")
