@@ -11,6 +11,7 @@ from .clear_paths import dim_path_all, dim_path_flat
 from .decided_instances import meet_all_layers
 from .decided_layers import meet_layers
 from .intersect import MISS
+from .list_order import first_listed
 from .paths import ENDED, Paths
 from .types import Scene
 
@@ -191,7 +192,7 @@ def dim_flat_path_shadows(
     paths_out: Paths,
 ):
     """Weaken listed shadow rays of the path tracer by panes, and end those that anything else opaque blocks."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -211,7 +212,7 @@ def dim_path_shadows(
     paths_out: Paths,
 ):
     """Do as dim_flat_path_shadows in scenes where not all is flattened."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

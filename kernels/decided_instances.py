@@ -12,7 +12,7 @@ import warp as wp
 from .decided_layers import stop_at, stopping_hit
 from .intersect import MISS, any_hit, closest_hit, hit_at
 from .layers import LAYER_STREAM
-from .list_order import first_dealt
+from .list_order import first_dealt, first_listed
 from .paths import ENDED, Options, Paths, load_hit, store_hit
 from .sampling import hash_combine
 from .shadow_layers import add_weakened
@@ -113,7 +113,7 @@ def trace_all_decided_shadows(
     paths_out: Paths,
 ):
     """Weaken the light of listed shadow rays by all that stands in their way; see trace_decided_shadows."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         slot = queue[i]
         i = i + stride

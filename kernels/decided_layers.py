@@ -13,7 +13,7 @@ import warp as wp
 from .flat_tracing import any_flat, closest_flat
 from .intersect import MISS, Hit, hit_at
 from .layers import LAYER_STREAM
-from .list_order import first_dealt
+from .list_order import first_dealt, first_listed
 from .paths import ENDED, Options, Paths, load_hit, store_hit
 from .sampling import hash_combine
 from .shadow_layers import add_weakened
@@ -121,7 +121,7 @@ def trace_decided_shadows(
 
     `bounces`: how many surfaces the paths have met before, one element.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         slot = queue[i]
         i = i + stride

@@ -11,6 +11,7 @@ import warp as wp
 
 from .flat_tracing import any_flat, closest_flat, closest_flat_layer, shadow_flat_layer
 from .intersect import MISS
+from .list_order import first_listed
 from .paths import ENDED, Options, Paths, store_hit, take_layer
 from .tracing import finish_shadow, meet_shadow_layer
 from .types import Scene
@@ -35,7 +36,7 @@ def trace_flat_paths(
 
     `filtered` 1: also find the first triangle that needs a test before it, and list the paths that have one.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -69,7 +70,7 @@ def trace_flat_path_shadows(
 
     Where triangles need a test find the first of them too, and list the rays that have one; see trace_shadow_layers.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from .filter import accept_hit
+from .list_order import first_listed
 from .paths import Paths, has_layers, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
@@ -27,7 +28,7 @@ def filter_paths(
     paths_out: Paths,
 ):
     """Walk through the layers of triangles that need a test, in front of the opaque hit."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

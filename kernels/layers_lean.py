@@ -7,6 +7,7 @@ import warp as wp
 
 from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_STOPPED, LayerWalk, accept_layer, start_walk
 from .layers import LAYER_STREAM
+from .list_order import first_listed
 from .paths import Paths, has_layers, load_hit, load_layer, store_hit
 from .sampling import hash_combine
 from .types import Scene
@@ -57,7 +58,7 @@ def filter_paths_lean(
     paths_out: Paths,
 ):
     """Walk through the layers of triangles that need a test, in front of the opaque hits of listed paths."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     path = int(-1)
     walk = LayerWalk()
     while path >= 0 or i < count[0]:

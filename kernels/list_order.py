@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["first_dealt"]
+__all__ = ["first_dealt", "first_listed"]
 
 WARP = wp.constant(32)
+# Warps that a large GPU has at work at a time, of kernels with many registers.
+BUSY_WARPS = wp.constant(1 << 10)
 # Number of threads to tell where each has one element, as on the processor, which has no warps.
 EACH_ONE = wp.constant(1 << 30)
 
@@ -25,3 +27,18 @@ def first_dealt(thread: int, threads: int) -> int:
     if threads >= EACH_ONE or threads % WARP != 0:
         return thread
     return thread % WARP * (threads // WARP) + thread // WARP
+
+
+@wp.func
+def first_listed(thread: int, threads: int, count: int) -> int:
+    """Return the first element of a thread for a list of any length, or `count` where it has none.
+
+    It takes each element `threads` further on too. Long lists are taken in their order, so that a warp's elements lie
+    close together; of short ones each warp has fewer elements, down to one, as long as there are warps that idle.
+    """
+    lanes = wp.min(wp.min(threads, BUSY_WARPS * WARP) // wp.max(count, 1), WARP)
+    if lanes < 2:
+        return thread
+    if thread % lanes != 0:
+        return count
+    return thread // lanes

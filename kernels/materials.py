@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .nodes import evaluate_surface
 from .paths import Paths, has_hit, hit_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, sample_pair
@@ -24,7 +25,7 @@ def evaluate_materials(
     paths_out: Paths,
 ):
     """Run the programs of the materials that listed paths have hit."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

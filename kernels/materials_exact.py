@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .node_rays import Rays, is_blurred, program_start, run_exact
 from .paths import Paths, has_hit, hit_point
 from .sampling import DIMENSION_FIRST_BOUNCE, DIMENSION_LOBE, DIMENSIONS_PER_BOUNCE, hash_combine, sample_pair
@@ -36,7 +37,7 @@ def evaluate_exact_materials(
     paths_out: Paths,
 ):
     """Run the programs of the materials that listed paths have hit, exact ones where there are any."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

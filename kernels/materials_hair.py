@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .materials_exact import exact_closure
 from .node_rays import program_start
 from .node_strands import run_strand, strand_start
@@ -28,7 +29,7 @@ def evaluate_hair_materials(
     paths_out: Paths,
 ):
     """Run the programs of the materials that listed paths have hit, those of hair as the path tracer has them."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

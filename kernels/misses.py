@@ -13,6 +13,7 @@ from .lamp_hit import FAR
 from .lamp_tables import meet_lamp
 from .light_linking import lamp_counts, met_by_rays
 from .lights import environment_chance, lamp_chance
+from .list_order import first_listed
 from .nodes import evaluate_world
 from .path_guides import light_before, show_light
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
@@ -103,7 +104,7 @@ def shade_misses(
 
     Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials are not lean.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .paths import ENDED, Paths, has_layers, has_shadow_layers
 from .pixel_order import place_in_blocks
 
@@ -84,7 +85,7 @@ def list_living(
     count_out: wp.array[int],
 ):
     """List the paths that go on."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -104,7 +105,7 @@ def list_layered(
     count_out: wp.array[int],
 ):
     """List the paths that a triangle that needs a test stands in the way of."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -124,7 +125,7 @@ def list_layered_shadows(
     count_out: wp.array[int],
 ):
     """List the paths whose shadow rays a triangle that needs a test stands in the way of."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

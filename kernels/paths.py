@@ -20,12 +20,14 @@ PENDING_NONE = wp.constant(0)
 PENDING_TRIANGLE = wp.constant(1)
 PENDING_WORLD = wp.constant(2)
 
-# Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
+# Bounces (Cycles' usual limit in comparisons) after which paths may not gain energy.
 LONG_PATH = wp.constant(32)
-# Largest chance with which they go on. Less would weigh the few that are left the more: their share falls by it in each
-# bounce, the square of their weight rises by it, without bound where its root is less than an albedo. More makes single
-# samples wait for the longest of their paths, between mirrors and in glass: 0.97 made them a third slower.
-LONG_SURVIVAL = wp.constant(0.92)
+# Bounces after which paths are ended harder, and the largest chance with which they go on. Less, or sooner, would weigh
+# the few that are left the more: their share falls by it in each bounce, the square of their weight rises by it,
+# without bound in a closed room of an albedo above its root. More makes samples wait for the longest of their paths:
+# a hundredth of them takes as long as all others on a GPU (docs/findings.md).
+ENDED_HARDER = wp.constant(8)
+LONG_SURVIVAL = wp.constant(0.88)
 
 @wp.struct
 class Options:
@@ -255,7 +257,7 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float
     """
     if bounce <= options.roulette_start:
         return 1.0
-    limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
+    limit = wp.where(bounce < ENDED_HARDER, 1.0, LONG_SURVIVAL)
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
 

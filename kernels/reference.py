@@ -14,6 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from .layering import prepare_under_film
+from .list_order import first_listed
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .types import Bsdf, FrameData, Scene
@@ -44,7 +45,7 @@ def shade_paths(
     count_out: wp.array[int],
 ):
     """Shade listed hits whose closures are known, see path_shading.shade_hit, and list the paths that go on."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

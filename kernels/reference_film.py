@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
 from .principled import prepare_bsdf
@@ -31,7 +32,7 @@ def shade_film_paths(
     count_out: wp.array[int],
 ):
     """Do what reference.shade_paths does, of closures that may have a thin film."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -15,6 +15,7 @@ from .lamp_sample import no_light
 from .light_choice import chosen_light, consider
 from .light_linking import kinds_lit, note_receiver
 from .lights import class_total, sample_light_of
+from .list_order import first_listed
 from .path_shading import (
     LIGHT_CANDIDATES,
     aim_shadow_ray,
@@ -146,7 +147,7 @@ def shade_hair_paths(
     other_count_out: wp.array[int],
 ):
     """Shade listed hits on hair, whose closures are known, and list the paths that go on; list other hits too."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

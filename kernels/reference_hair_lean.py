@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .node_strands import run_strand, strand_start
 from .path_shading import is_held_out
 from .paths import ENDED, Options, Paths, has_hit, hit_point
@@ -31,7 +32,7 @@ def shade_lean_hair_paths(
     other_count_out: wp.array[int],
 ):
     """Shade listed hits on hair and list the paths that go on; list other hits too, whose closures are not known."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

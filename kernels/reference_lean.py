@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .node_lean import lean_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
@@ -58,7 +59,7 @@ def shade_lean_paths(
 
     Other paths do not end here, but have no shadow ray after it.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .list_order import first_listed
 from .node_lean import plain_bsdf, run_lean
 from .path_shading import is_held_out, shade_hit
 from .paths import ENDED, Options, Paths, has_hit, hit_point
@@ -34,7 +35,7 @@ def shade_plain_paths(
     other_count_out: wp.array[int],
 ):
     """Shade listed hits on plain materials and list the paths that go on; list the hits on other materials too."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -13,6 +13,7 @@ import warp as wp
 from .geometry_math import is_finite3, max_component
 from .layering import prepare_bsdf, unit_normal
 from .light_linking import note_receiver
+from .list_order import first_listed
 from .normals import valid_specular_normal
 from .path_shading import begin_hit, continue_path, is_held_out, light_hit
 from .paths import ENDED, LONG_PATH, Options, Paths, has_hit, hit_point
@@ -81,7 +82,7 @@ def shade_scattering_paths(
     below_count_out: wp.array[int],
 ):
     """Shade listed hits whose closures are known and list the paths that go on; list those that go below too."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -130,7 +131,7 @@ def shade_exits(
     `bumped` 1: their closures are those of where they come out, whose normals count. `bounces`: how many surfaces the
     paths have met before, one element.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -8,6 +8,7 @@ import warp as wp
 from .filter import transmittance
 from .geometry_math import max_component
 from .light_linking import shadow_set
+from .list_order import first_listed
 from .paths import PENDING_NONE, Options, Paths, add_shadow_light, has_shadow_layers, load_layer
 from .types import Scene
 
@@ -38,7 +39,7 @@ def weaken_shadow_rays(
     paths_out: Paths,
 ):
     """Multiply the light by the layers' transparencies; add it where no program of the light is pending."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

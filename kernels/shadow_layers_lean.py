@@ -8,6 +8,7 @@ import warp as wp
 from .filter_lean import WALK_ON, WALK_OVERRUN, WALK_PASSED, LayerWalk, pass_layer, start_walk
 from .intersect import MISS
 from .light_linking import shadow_set
+from .list_order import first_listed
 from .paths import Options, Paths, load_layer
 from .shadow_layers import add_weakened
 from .types import Scene
@@ -36,7 +37,7 @@ def weaken_shadow_rays_lean(
     paths_out: Paths,
 ):
     """Multiply the light of listed rays by the layers' transparencies; add it where no program of it is pending."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     path = int(-1)
     walk = LayerWalk()
     while path >= 0 or i < count[0]:

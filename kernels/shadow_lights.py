@@ -7,6 +7,7 @@ import warp as wp
 
 from .geometry_math import max_component
 from .intersect import surface_point
+from .list_order import first_listed
 from .nodes import run, world_point
 from .paths import PENDING_TRIANGLE, Options, Paths, add_light, limit_at, make_hit, waits_for_program
 from .types import VISIBLE_DIFFUSE, Scene
@@ -27,7 +28,7 @@ def shade_lights(
     paths_out: Paths,
 ):
     """Add the light of the shadow rays that got through, times what the light's program says."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

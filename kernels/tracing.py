@@ -10,6 +10,7 @@ import warp as wp
 
 from .camera import filter_offset
 from .intersect import MISS, Layer, any_hit, closest_hit, closest_layer, shadow_layer
+from .list_order import first_listed
 from .panorama import film_ray
 from .paths import (
     ENDED,
@@ -115,7 +116,7 @@ def trace_paths(
     paths_out: Paths,
 ):
     """Find the closest opaque hit of every path in the queue."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         if paths_out.state[path] != ENDED:
@@ -135,7 +136,7 @@ def trace_layers(
     paths_out: Paths,
 ):
     """Find the first triangle that needs a test before each path's opaque hit; most have none."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         if paths_out.state[path] != ENDED:
@@ -160,7 +161,7 @@ def trace_shadows(
 
     `bounces`: how many surfaces the paths have met before, one element.
     """
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride
@@ -185,7 +186,7 @@ def trace_shadow_layers(
     paths_out: Paths,
 ):
     """Find the first triangle that needs a test on each shadow ray; add the light where there is none."""
-    i = wp.tid()
+    i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
         path = queue[i]
         i = i + stride

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -301,6 +301,24 @@ def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     return [*steps, Step(misses.shade_misses, [scene, options], fills=("more_hits",))]
 
 
+def shading_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
+    """Return what shades the living paths' hits: lean ones, and beside them those that misses listed as others."""
+    shading = [slot.frame, scene, options]
+    steps = [Step(reference_lean.shade_lean_paths, shading, fills=("next",), lane=1)]
+    others = []
+    if not options.all_lean:
+        others.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
+    if not options.all_plain:
+        evaluating, over = full_steps(slot, scene, shading)
+        others += evaluating
+        if options.subsurface == 1:
+            others.append(below_step(shading, over))
+        else:
+            shade = reference_film.shade_film_paths if options.films else reference.shade_paths
+            others.append(Step(shade, shading, over, fills=("next",)))
+    return steps + [replace(step, lane=2) for step in others]
+
+
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     """Return one segment of every path: the path tracer's table of contents."""
     shading, media, light = [slot.frame, scene, options], slot.media, slot.light
@@ -313,17 +331,7 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps += light.steps_before_shading(slot.rounds, evaluate_step(slot, scene, "first_hits"))
     if slot.catching:
         steps.append(slot.catching.step(scene, slot))
-    steps.append(Step(reference_lean.shade_lean_paths, shading, fills=("next",)))
-    if not options.all_lean:
-        steps.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
-    if not options.all_plain:
-        evaluating, over = full_steps(slot, scene, shading)
-        steps += evaluating
-        if options.subsurface == 1:
-            steps.append(below_step(shading, over))
-        else:
-            shade = reference_film.shade_film_paths if options.films else reference.shade_paths
-            steps.append(Step(shade, shading, over, fills=("next",)))
+    steps += shading_steps(slot, scene, options)
     if media:
         steps.append(media.scatter_step(shading, slot.rounds))
     if options.passes == 1:

@@ -4,14 +4,16 @@
 A round is a list of steps, each a kernel over one of the lists of kernels/path_lists.py. On CUDA two rounds are the
 body of a loop in a graph that runs without the host: the number of living paths stays on the device, every launch has
 the same size, and threads take further elements of their list. Small batches would wait for launches and counts
-otherwise: a path in a white room lives for dozens of rounds. On the processor one thread of a launch, the calling one,
-takes its whole list, and empty lists have no launch.
+otherwise: a path in a white room lives for dozens of rounds. Steps that share no path run at the same time there: the
+last rounds have so few paths that each kernel takes as long as the slowest of them. On the processor one thread of a
+launch, the calling one, takes its whole list, and empty lists have no launch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -50,6 +52,19 @@ class Step:
     """Whether it changes the paths: they come before the list then, among its outputs"""
     outputs: list = field(default_factory=list)
     """What else it writes: between the two"""
+    lane: int = 0
+    """Those of a group of neighbouring steps with the same number, from 1 on, run one after the other, on CUDA beside
+    those with others; 0: after all before it, and before all behind it"""
+
+
+@dataclass(frozen=True)
+class _Command:
+    """A step's launch, recorded."""
+
+    place: int
+    """Number of the list that it works on"""
+    launch: wp.Launch
+    lane: int = 0
 
 
 def make_paths(count: int, passes: bool, device: str) -> Paths:
@@ -104,8 +119,9 @@ class Wavefront:
         self._all = make_queue(capacity, device)
         self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
         self._queues: dict[int, wp.array] = {}
-        self._records: dict[str, tuple[tuple, tuple[list[tuple[int, wp.Launch]], ...]]] = {}
+        self._records: dict[str, tuple[tuple, tuple[list[_Command], ...]]] = {}
         self._graphs: dict[str, wp.Graph] = {}
+        self._streams: dict[int, wp.Stream] = {}
 
     @property
     def rays(self) -> int:
@@ -187,22 +203,26 @@ class Wavefront:
             return True
         half, counts = 0, self._counts.numpy()
         while counts[half]:
-            for place, command in kept[1][half]:
-                if counts[place]:
-                    command.launch()
+            for command in kept[1][half]:
+                if counts[command.place]:
+                    command.launch.launch()
             if should_stop():
                 return False
             half = 1 - half
         return True
 
-    def _run_graph(self, name: str, halves: tuple[list[tuple[int, wp.Launch]], ...]) -> None:
+    def _run_graph(self, name: str, halves: tuple[list[_Command], ...]) -> None:
         """Run the loop, captured when it is first asked for; where drivers know no loops, round by round."""
         living = self._counts[0:1]
 
         def body() -> None:
             for commands in halves:
-                for _, command in commands:
-                    command.launch()
+                for grouped, group in groupby(commands, lambda command: command.lane > 0):
+                    if grouped:
+                        self._issue_beside(list(group))
+                    else:
+                        for command in group:
+                            command.launch.launch()
 
         graph, looped = self._graphs.get(name), wp.is_conditional_graph_supported()
         if graph is None:
@@ -217,21 +237,34 @@ class Wavefront:
         else:
             wp.capture_while(living, graph)
 
+    def _issue_beside(self, group: list[_Command]) -> None:
+        """Issue the launches of a group of lanes: the first's to the stream that is captured, others' beside it."""
+        trunk, first = wp.get_stream(self.device), min(command.lane for command in group)
+        streams = {command.lane: self._side_stream(command.lane) for command in group if command.lane != first}
+        for stream in streams.values():
+            stream.wait_stream(trunk)
+        for command in group:
+            command.launch.launch(streams.get(command.lane, trunk))
+        for stream in streams.values():
+            trunk.wait_stream(stream)
+
+    def _side_stream(self, lane: int) -> wp.Stream:
+        if lane not in self._streams:
+            self._streams[lane] = wp.Stream(self.device)
+        return self._streams[lane]
+
     def _queue(self, place: int) -> wp.array:
         """Return the paths of a list; room for them is made when a step first names the list."""
         if place not in self._queues:
             self._queues[place] = wp.zeros(self.capacity, dtype=int, device=self.device)
         return self._queues[place]
 
-    def _record(self, steps: list[Step], half: int, limit: int) -> list[tuple[int, wp.Launch]]:
-        """Record a round whose living paths are in list `half`; those that go on come into the other.
-
-        Each launch comes with the list that it works on.
-        """
+    def _record(self, steps: list[Step], half: int, limit: int) -> list[_Command]:
+        """Record a round whose living paths are in list `half`; those that go on come into the other."""
         places = LISTS | {"living": path_lists.LIVING + half, "next": path_lists.LIVING + 1 - half}
         begin = record(
             path_lists.start_round, [half, limit], [self._counts, self.rounds, self._rays], self.device)
-        commands = [(int(path_lists.LIVING) + half, begin)]
+        commands = [_Command(int(path_lists.LIVING) + half, begin)]
         for step in steps:
             work = int(places[step.over])
             threads = PROCESSOR_THREADS
@@ -241,7 +274,7 @@ class Wavefront:
             for name in step.fills:
                 filled = int(places[name])
                 outputs += [self._queue(filled), self._counts[filled : filled + 1]]
-            commands.append((work, record(
+            commands.append(_Command(work, record(
                 step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
-                self.device, threads)))
+                self.device, threads), step.lane))
         return commands

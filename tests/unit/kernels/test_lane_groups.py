@@ -5,7 +5,7 @@ import numpy as np
 import warp as wp
 from burnish.engine.frame_graph import FrameGraph
 from burnish.kernels.lane_groups import group_sum
-from burnish.kernels.list_order import first_dealt
+from burnish.kernels.list_order import first_dealt, first_listed
 
 VALUES = 64
 
@@ -38,13 +38,16 @@ def sum_shared(
 @wp.kernel
 def take_listed(
     # In:
+    dealt: int,
     count: int,
     stride: int,
     # Out:
     times_out: wp.array[int],
 ):
-    """Count how often each element of a list is taken."""
-    i = first_dealt(wp.tid(), stride)
+    """Count how often each element of a list is taken: a short one, which is dealt out, or any."""
+    i = first_listed(wp.tid(), stride, count)
+    if dealt == 1:
+        i = first_dealt(wp.tid(), stride)
     while i < count:
         times_out[i] = times_out[i] + 1
         i = i + stride
@@ -65,11 +68,12 @@ def test_sums_of_shared_elements(device):
 
 
 def test_lists_are_dealt_out_once(device):
-    """Every element of a list is taken by one thread, whatever their numbers; few elements go to a warp each."""
-    for threads, count in ((64, 3), (64, 64), (96, 200), (70, 33), (4096, 100), (1 << 12, 9999)):
-        times = wp.zeros(count, dtype=int, device=device)
-        wp.launch(take_listed, threads, [count, threads], [times], device=device)
-        assert (times.numpy() == 1).all(), (threads, count)
+    """Every element of a list is taken by one thread, whatever their numbers."""
+    for threads, count in ((1, 7), (64, 3), (64, 64), (96, 200), (70, 33), (4096, 100), (1 << 12, 9999), (1 << 17, 5)):
+        for dealt in (0, 1):
+            times = wp.zeros(count, dtype=int, device=device)
+            wp.launch(take_listed, threads, [dealt, count, threads], [times], device=device)
+            assert (times.numpy() == 1).all(), (threads, count, dealt)
 
 
 def test_first_elements_go_to_warps_of_their_own(device):
@@ -85,3 +89,20 @@ def test_first_elements_go_to_warps_of_their_own(device):
     assert out.numpy()[::32].tolist() == [0, 1, 2, 3]
     wp.launch(firsts, 128, [1 << 30], [out], device=device)
     assert (out.numpy() == np.arange(128)).all()
+
+
+def test_short_lists_use_idle_warps(device):
+    """Threads of a warp share a list the less the shorter it is, and take a long one's elements in their order."""
+
+    @wp.kernel
+    def firsts(count: int, stride: int, out: wp.array[int]):
+        """Write down each thread's first element."""
+        out[wp.tid()] = first_listed(wp.tid(), stride, count)
+
+    threads = 1 << 12
+    out = wp.zeros(threads, dtype=int, device=device)
+    for count, lanes in ((0, 32), (3, 32), (128, 32), (129, 31), (1000, 4), (2048, 2), (2049, 1), (9999, 1)):
+        wp.launch(firsts, threads, [count, threads], [out], device=device)
+        taken = out.numpy()
+        assert (taken[::lanes][:count] == np.arange(threads)[:len(taken[::lanes])][:count]).all(), count
+        assert lanes == 1 or (np.delete(taken, np.s_[::lanes]) >= count).all(), count
