@@ -21,7 +21,7 @@ from .media import (
     phase_value,
     return_chance,
 )
-from .misses import add_world, takes_more
+from .misses import SHADED_FULL, SHADED_PLAIN, add_world, shaded_by
 from .path_guides import light_before, show_light
 from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, begin_choice, candidate_place
 from .paths import ENDED, Options, Paths, survives
@@ -57,8 +57,10 @@ def shade_media_misses(
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
+    plain_out: wp.array[int],
+    plain_count_out: wp.array[int],
+    full_out: wp.array[int],
+    full_count_out: wp.array[int],
 ):
     """Add the world to the paths that leave the scene and end them, play roulette; see misses.shade_misses.
 
@@ -80,8 +82,12 @@ def shade_media_misses(
                     r = paths_out.radiance[path]
                     left = wp.clamp(mean_component(paths_out.throughput[path]), 0.0, 1.0)
                     paths_out.radiance[path] = wp.vec4(r[0], r[1], r[2], 1.0 - left)
-            elif takes_more(scene, options, paths_out, path, bounce):
-                queue_out[wp.atomic_add(count_out, 0, 1)] = path
+            else:
+                kernel = shaded_by(scene, options, paths_out, path, bounce)
+                if kernel == SHADED_PLAIN:
+                    plain_out[wp.atomic_add(plain_count_out, 0, 1)] = path
+                elif kernel == SHADED_FULL:
+                    full_out[wp.atomic_add(full_count_out, 0, 1)] = path
 
 
 @wp.func

@@ -17,10 +17,14 @@ from .list_order import first_listed
 from .nodes import evaluate_world
 from .path_guides import light_before, show_light
 from .paths import ENDED, Options, Paths, add_light, limit_at, survives
-from .types import LIGHT_HITTABLE, MATERIAL_LEAN, MATERIAL_SUBSURFACE, Scene
+from .types import LIGHT_HITTABLE, MATERIAL_LEAN, MATERIAL_PLAIN, MATERIAL_SUBSURFACE, Scene
 from .wide_loads import load_material_flags
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
+
+SHADED_PLAIN = wp.constant(1)
+SHADED_FULL = wp.constant(2)
+"""Kernels for hits whose materials are not lean"""
 
 
 @wp.func
@@ -76,15 +80,20 @@ def add_world(scene: Scene, options: Options, paths: Paths, path: int, bounce: i
 
 
 @wp.func
-def takes_more(scene: Scene, options: Options, paths: Paths, path: int, bounce: int) -> bool:
-    """Play roulette at a hit that does not emit; return whether the path goes on with a material that is not lean."""
+def shaded_by(scene: Scene, options: Options, paths: Paths, path: int, bounce: int) -> int:
+    """Play roulette at a hit that does not emit; return which kernel shades it, 0 where none is to be told.
+
+    Lean materials' kernel looks for its paths itself.
+    """
     hit = paths.hit[path]
     material = triangle_material(scene, hit[0], hit[1])
-    going_on = True
     if not may_emit(scene, material):
-        going_on = survives(options, paths, path, bounce)
+        if not survives(options, paths, path, bounce):
+            return 0
     flags = load_material_flags(scene.materials.materials, material)[3]
-    return going_on and (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) != MATERIAL_LEAN
+    if (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) == MATERIAL_LEAN:
+        return 0
+    return wp.where((flags & (MATERIAL_PLAIN | MATERIAL_SUBSURFACE)) == MATERIAL_PLAIN, SHADED_PLAIN, SHADED_FULL)
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -97,12 +106,15 @@ def shade_misses(
     queue: wp.array[int],
     # Out:
     paths_out: Paths,
-    queue_out: wp.array[int],
-    count_out: wp.array[int],
+    plain_out: wp.array[int],
+    plain_count_out: wp.array[int],
+    full_out: wp.array[int],
+    full_count_out: wp.array[int],
 ):
     """Add the lamps that rays meet, add the world to the paths that leave the scene and end them, play roulette.
 
-    Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials are not lean.
+    Not yet where the hit may emit: shade_hit adds that first. List the hits whose materials are not lean, plain ones
+    apart.
     """
     i = first_listed(wp.tid(), stride, count[0])
     while i < count[0]:
@@ -118,5 +130,9 @@ def shade_misses(
                 add_world(scene, options, paths_out, path, bounce)
                 paths_out.state[path] = ENDED
                 show_light(options.exposure, paths_out, path, bounce, before)
-            elif takes_more(scene, options, paths_out, path, bounce):
-                queue_out[wp.atomic_add(count_out, 0, 1)] = path
+            else:
+                kernel = shaded_by(scene, options, paths_out, path, bounce)
+                if kernel == SHADED_PLAIN:
+                    plain_out[wp.atomic_add(plain_count_out, 0, 1)] = path
+                elif kernel == SHADED_FULL:
+                    full_out[wp.atomic_add(full_count_out, 0, 1)] = path

@@ -17,10 +17,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 # Lists, by their place among the counts. Living paths take turns in two.
 LIVING = wp.constant(0)
-MORE_HITS = wp.constant(2)
-"""Hits whose materials shade_lean_paths leaves"""
+PLAIN_HITS = wp.constant(2)
+"""Those that shade_plain_paths shades"""
 FULL_HITS = wp.constant(3)
-"""Those of them that shade_plain_paths leaves"""
+"""Those that need the full node machine"""
 LAYERED = wp.constant(4)
 LAYERED_SHADOWS = wp.constant(5)
 FIRST_HITS = wp.constant(6)
@@ -42,21 +42,36 @@ LIST_COUNT = wp.constant(12)
 def start_round(
     # In:
     source: int,
+    kept: int,
     limit: int,
     # Out:
     counts_out: wp.array[int],
     rounds_out: wp.array[int],
     rays_out: wp.array[wp.int64],
 ):
-    """Empty all lists but that of the living paths, number `source`; after `limit` rounds that too."""
+    """Empty all lists but `source`, that of the living paths, and `kept`; after `limit` rounds `source` too."""
     rounds = rounds_out[0] + 1
     rounds_out[0] = rounds
     if rounds >= limit:
         counts_out[source] = 0
     rays_out[0] = rays_out[0] + wp.int64(counts_out[source])
     for i in range(LIST_COUNT):
-        if i != source:
+        if i != source and i != kept:
             counts_out[i] = 0
+
+
+@wp.kernel
+def finish_round(
+    # In:
+    rounds: wp.array[int],
+    kept: int,
+    # Out:
+    counts_out: wp.array[int],
+    rounds_out: wp.array[int],
+):
+    """Empty the list of the paths that lived in the round before; note the number of the one that goes on."""
+    counts_out[kept] = 0
+    rounds_out[0] = rounds[0]
 
 
 @wp.kernel

@@ -27,7 +27,7 @@ from .film_buffers import FilmBuffers
 from .material_steps import evaluate_step
 from .reference import Band, ReferencePass, hit_steps
 from .rest import RestBlend
-from .wavefront import Step, Wavefront
+from .wavefront import HIT_LISTS, Step, Wavefront
 
 __all__ = ["FinalDenoise"]
 
@@ -198,6 +198,6 @@ def guide_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     steps = [*hit_steps(slot, scene, options), Step(denoise_guides.show_misses, [options.exposure]),
              Step(denoise_guides_lean.find_lean_surfaces, shown)]
     if not options.all_lean:
-        steps += [evaluate_step(slot, scene, "more_hits"),
-                  Step(denoise_guides.find_surfaces, shown, over="more_hits")]
+        for hits in HIT_LISTS:
+            steps += [evaluate_step(slot, scene, hits), Step(denoise_guides.find_surfaces, shown, over=hits)]
     return [*steps, Step(path_lists.list_living, [slot.paths.state], fills=("next",), changes=False)]

@@ -30,7 +30,7 @@ from ...kernels.volume_grids import Volumes
 from ..device import launch
 from ..history import copy_struct
 from .path_light import PathLight
-from .wavefront import Step, Wavefront
+from .wavefront import HIT_LISTS, Step, Wavefront
 
 __all__ = ["MEDIA_BYTES", "PathMedia", "fit_media", "make_media_paths"]
 
@@ -67,7 +67,7 @@ class PathMedia:
 
     def miss_step(self, scene: Scene, options: Options) -> Step:
         """Return what adds the world and plays roulette, and lists what needs the full machine."""
-        return Step(media_scatter.shade_media_misses, [scene, options], fills=("more_hits",))
+        return Step(media_scatter.shade_media_misses, [scene, options], fills=HIT_LISTS)
 
     def scatter_step(self, shading: list, rounds: wp.array) -> Step:
         """Return what lights scattered paths; comes after surfaces, which forget shadow rays of before."""

@@ -44,9 +44,9 @@ from .material_steps import evaluate_step, full_steps
 from .media import MEDIA_BYTES, fit_media
 from .path_light import LightFilm
 from .shadow_catcher import ShadowCatchers
-from .shadow_steps import shadow_steps
+from .shadow_steps import shadow_steps, shadows_may_wait
 from .subsurface import below_step, exit_steps
-from .wavefront import Step, Wavefront, add_guides
+from .wavefront import HIT_LISTS, Step, Wavefront, add_guides
 
 if TYPE_CHECKING:
     from ..device_scene import DeviceScene
@@ -298,25 +298,24 @@ def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
     if options.filtered == 1:
         steps.append(Step(layers_lean.filter_paths_lean if options.lean_layers else layers.filter_paths, [scene],
                           over="layered"))
-    return [*steps, Step(misses.shade_misses, [scene, options], fills=("more_hits",))]
+    return [*steps, Step(misses.shade_misses, [scene, options], fills=HIT_LISTS)]
 
 
 def shading_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
-    """Return what shades the living paths' hits: lean ones, and beside them those that misses listed as others."""
+    """Return what shades the living paths' hits: lean ones, and beside them the others, which misses have listed."""
     shading = [slot.frame, scene, options]
     steps = [Step(reference_lean.shade_lean_paths, shading, fills=("next",), lane=1)]
-    others = []
     if not options.all_lean:
-        others.append(Step(reference_plain.shade_plain_paths, shading, over="more_hits", fills=("next", "full_hits")))
+        steps.append(Step(reference_plain.shade_plain_paths, shading, over="plain_hits", fills=("next",), lane=2))
     if not options.all_plain:
-        evaluating, over = full_steps(slot, scene, shading)
-        others += evaluating
+        others, over = full_steps(slot, scene, shading)
         if options.subsurface == 1:
             others.append(below_step(shading, over))
         else:
             shade = reference_film.shade_film_paths if options.films else reference.shade_paths
             others.append(Step(shade, shading, over, fills=("next",)))
-    return steps + [replace(step, lane=2) for step in others]
+        steps += [replace(step, lane=3) for step in others]
+    return steps
 
 
 def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
@@ -326,6 +325,9 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps = [*media.hit_steps(scene, options, light), media.miss_step(scene, options)]
     else:
         steps = hit_steps(slot, scene, options)
+    late = shadows_may_wait(slot, scene, options)
+    if late:
+        steps[:-1] = [replace(step, lane=1) for step in steps[:-1]]
     if light:
         steps[-1:-1] = [] if media else light.steps_before_misses(scene, options)
         steps += light.steps_before_shading(slot.rounds, evaluate_step(slot, scene, "first_hits"))
@@ -338,7 +340,7 @@ def path_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
         steps.append(Step(light_split.weigh_seen_light, [options, slot.rounds]))
     if light:
         steps += light.steps_after_shading(scene, slot.rounds)
-    steps += media.shadow_steps(slot, scene, options) if media else shadow_steps(slot, scene, options)
+    steps += media.shadow_steps(slot, scene, options) if media else shadow_steps(slot, scene, options, late=late)
     if light:
         steps += light.steps_after_shadows(slot.rounds)
     return steps + exit_steps(slot, scene, options) if options.subsurface == 1 else steps

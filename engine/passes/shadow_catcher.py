@@ -25,7 +25,7 @@ from ..light_table import build_lights
 from ..scene import Visibility
 from ..structures import Structures
 from .media import fit_media
-from .wavefront import Step, Wavefront
+from .wavefront import HIT_LISTS, Step, Wavefront
 
 if TYPE_CHECKING:
     from ..device_scene import DeviceScene
@@ -139,7 +139,7 @@ class ShadowCatchers:
         slot.programs = first.programs
         if not options.transparent:
             slot.trace("backdrop", (world, options), lambda: [
-                Step(shadow_catcher.miss_all, []), Step(misses.shade_misses, [world, options], fills=("more_hits",)),
+                Step(shadow_catcher.miss_all, []), Step(misses.shade_misses, [world, options], fills=HIT_LISTS),
                 Step(shadow_catcher.keep_backdrop, [slot.paths], changes=False, outputs=[kept.caught]),
             ], frame, table, pixels, samples, 1, should_stop)
         ended = slot.trace(

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import warp as wp
 
 from ...kernels import (
@@ -22,11 +24,12 @@ from ..clear_glass import passes_glass
 from ..structures import decides_layers, is_flat, without_opaque
 from .wavefront import Step, Wavefront
 
-__all__ = ["shadow_steps"]
+__all__ = ["shadow_steps", "shadows_may_wait"]
 
 
 def shadow_steps(
     slot: Wavefront, scene: Scene, options: Options, over: str = "living", layered: str = "layered_shadows",
+    late: bool = False,
 ) -> list[Step]:
     """Return what traces the shadow rays of the paths of a list and adds their light.
 
@@ -36,15 +39,17 @@ def shadow_steps(
         options: Settings for the kernels.
         over: The list.
         layered: List for those that transparent triangles stand in the way of, empty so far.
+        late: Whether they are traced in the next round, see shadows_may_wait().
     """
-    shadows, steps, between = [scene, options, slot.rounds], [], scene
+    rounds = slot.late_rounds if late else slot.rounds
+    shadows, steps, between = [scene, options, rounds], [], scene
     if passes_glass(scene):
         if len(slot.paths.clear_way) < slot.capacity:
             slot.paths.clear_way = wp.zeros(slot.capacity, dtype=wp.vec4, device=slot.device)
         dim = clear_tracing.dim_flat_path_shadows if is_flat(scene) else clear_tracing.dim_path_shadows
         steps.append(Step(dim, [scene], over))
         between = without_opaque(scene)
-    among = [between, options, slot.rounds]
+    among = [between, options, rounds]
     if options.filtered == 1 and decides_layers(scene):
         trace = (decided_layers.trace_decided_shadows if is_flat(scene)
                  else decided_instances.trace_all_decided_shadows)
@@ -61,4 +66,13 @@ def shadow_steps(
         steps.append(Step(weaken, shadows, layered))
     if options.programs == 1:
         steps.append(Step(shadow_lights.shade_lights, shadows, over))
-    return steps
+    return [replace(step, late=late) for step in steps]
+
+
+def shadows_may_wait(slot: Wavefront, scene: Scene, options: Options) -> bool:
+    """Return whether shadow rays may be traced beside the next round's rays: whether nothing between asks for them.
+
+    Layers that need lists of their own are counted with those that the next rays meet.
+    """
+    asks = slot.light or slot.media or slot.catching or options.passes == 1 or options.subsurface == 1
+    return not asks and (options.filtered == 0 or decides_layers(scene))

@@ -4,7 +4,7 @@
 A round is a list of steps, each a kernel over one of the lists of kernels/path_lists.py. On CUDA two rounds are the
 body of a loop in a graph that runs without the host: the number of living paths stays on the device, every launch has
 the same size, and threads take further elements of their list. Small batches would wait for launches and counts
-otherwise: a path in a white room lives for dozens of rounds. Steps that share no path run at the same time there: the
+otherwise: a path in a white room lives for dozens of rounds. Steps that share nothing run at the same time there: the
 last rounds have so few paths that each kernel takes as long as the slowest of them. On the processor one thread of a
 launch, the calling one, takes its whole list, and empty lists have no launch.
 """
@@ -26,13 +26,19 @@ from ..device import launch, record
 from ..lean import LeanPrograms
 from ..work_list import FEW_THREADS, LISTED_THREADS, make_queue
 
-__all__ = ["Step", "Wavefront", "add_guides", "make_paths"]
+__all__ = ["HIT_LISTS", "Step", "Wavefront", "add_guides", "make_paths"]
 
-LISTS = {"more_hits": path_lists.MORE_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
+LISTS = {"plain_hits": path_lists.PLAIN_HITS, "full_hits": path_lists.FULL_HITS, "layered": path_lists.LAYERED,
          "layered_shadows": path_lists.LAYERED_SHADOWS, "first_hits": path_lists.FIRST_HITS,
          "below": path_lists.BELOW, "exits": path_lists.EXITS, "layered_exits": path_lists.LAYERED_EXITS,
          "scattered": path_lists.SCATTERED, "other_hits": path_lists.OTHER_HITS}
 """Beside "living", the list of each round"""
+
+HIT_LISTS = "plain_hits", "full_hits"
+"""What kernels that play roulette fill"""
+
+LATE_LANE = 2
+"""Lane of late steps"""
 
 PROCESSOR_THREADS = 1
 """Of a launch on the processor: each would read the array descriptors of the scene anew"""
@@ -55,6 +61,9 @@ class Step:
     lane: int = 0
     """Those of a group of neighbouring steps with the same number, from 1 on, run one after the other, on CUDA beside
     those with others; 0: after all before it, and before all behind it"""
+    late: bool = False
+    """Whether it comes in the next round, in a lane beside the steps of lane 1 at its beginning; it tells how many
+    surfaces its paths have met by Wavefront.late_rounds"""
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,7 @@ class _Command:
     """Number of the list that it works on"""
     launch: wp.Launch
     lane: int = 0
+    late: bool = False
 
 
 def make_paths(count: int, passes: bool, device: str) -> Paths:
@@ -115,6 +125,8 @@ class Wavefront:
         self.frame = wp.zeros(1, dtype=FrameData, device=device)
         self.rounds = wp.zeros(1, dtype=int, device=device)
         """Surfaces that the paths have met before this round's"""
+        self.late_rounds = wp.zeros(1, dtype=int, device=device)
+        """The same of late steps"""
         self._rays = wp.zeros(1, dtype=wp.int64, device=device)
         self._all = make_queue(capacity, device)
         self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
@@ -197,7 +209,8 @@ class Wavefront:
         else:
             wp.copy(self._queue(0), self._all, count=total)
         self.rounds.fill_(-1)
-        self._counts.fill_(total)
+        self._counts.zero_()
+        self._counts[0:1].fill_(total)
         if self.cuda:
             self._run_graph(name, kept[1])
             return True
@@ -209,11 +222,20 @@ class Wavefront:
             if should_stop():
                 return False
             half = 1 - half
+        for command in kept[1][half]:
+            if command.late and counts[command.place]:
+                command.launch.launch()
         return True
 
     def _run_graph(self, name: str, halves: tuple[list[_Command], ...]) -> None:
         """Run the loop, captured when it is first asked for; where drivers know no loops, round by round."""
         living = self._counts[0:1]
+
+        def finish() -> None:
+            # The last round was the second half's.
+            for command in halves[0]:
+                if command.late:
+                    command.launch.launch()
 
         def body() -> None:
             for commands in halves:
@@ -229,6 +251,7 @@ class Wavefront:
             with wp.ScopedCapture(self.device, force_module_load=False) as capture:
                 if looped:
                     wp.capture_while(living, body)
+                    finish()
                 else:
                     body()
             graph = self._graphs[name] = capture.graph
@@ -236,6 +259,7 @@ class Wavefront:
             wp.capture_launch(graph)
         else:
             wp.capture_while(living, graph)
+            finish()
 
     def _issue_beside(self, group: list[_Command]) -> None:
         """Issue the launches of a group of lanes: the first's to the stream that is captured, others' beside it."""
@@ -261,20 +285,27 @@ class Wavefront:
 
     def _record(self, steps: list[Step], half: int, limit: int) -> list[_Command]:
         """Record a round whose living paths are in list `half`; those that go on come into the other."""
-        places = LISTS | {"living": path_lists.LIVING + half, "next": path_lists.LIVING + 1 - half}
+        living, previous = int(path_lists.LIVING) + half, int(path_lists.LIVING) + 1 - half
+        late = [step for step in steps if step.late]
         begin = record(
-            path_lists.start_round, [half, limit], [self._counts, self.rounds, self._rays], self.device)
-        commands = [_Command(int(path_lists.LIVING) + half, begin)]
-        for step in steps:
-            work = int(places[step.over])
-            threads = PROCESSOR_THREADS
-            if self.cuda:
-                threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
-            outputs = [*([self.paths] if step.changes else []), *step.outputs]
-            for name in step.fills:
-                filled = int(places[name])
-                outputs += [self._queue(filled), self._counts[filled : filled + 1]]
-            commands.append(_Command(work, record(
-                step.kernel, [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)], outputs,
-                self.device, threads), step.lane))
-        return commands
+            path_lists.start_round, [half, previous if late else living, limit],
+            [self._counts, self.rounds, self._rays], self.device)
+        commands = [_Command(living, begin)]
+        if late:
+            commands += [self._record_step(step, LISTS | {"living": previous}, LATE_LANE) for step in late]
+            finish = record(
+                path_lists.finish_round, [self.rounds, previous], [self._counts, self.late_rounds], self.device)
+            commands.append(_Command(living, finish, LATE_LANE))
+        places = LISTS | {"living": living, "next": previous}
+        return commands + [self._record_step(step, places, step.lane) for step in steps if not step.late]
+
+    def _record_step(self, step: Step, places: dict[str, int], lane: int) -> _Command:
+        work, threads = int(places[step.over]), PROCESSOR_THREADS
+        if self.cuda:
+            threads = min(self.capacity, LISTED_THREADS if step.over == "living" else FEW_THREADS)
+        outputs = [*([self.paths] if step.changes else []), *step.outputs]
+        for name in step.fills:
+            filled = int(places[name])
+            outputs += [self._queue(filled), self._counts[filled : filled + 1]]
+        inputs = [*step.inputs, threads, self._counts[work : work + 1], self._queue(work)]
+        return _Command(work, record(step.kernel, inputs, outputs, self.device, threads), lane, step.late)

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
 from burnish.engine.device import choose_device, launch, record
-from burnish.engine.passes import wavefront
+from burnish.engine.passes import reference, wavefront
 from burnish.engine.passes.wavefront import Step, Wavefront
 from burnish.engine.session import Session
 from burnish.kernels import path_lists
@@ -117,3 +119,59 @@ def test_loops_end(limit):
         assert front.loop("test", (limits,), steps, count, limit, lambda: False)
         assert front.rays == np.minimum(np.arange(count) % 8 + 1, limit).sum()
     assert device != "cpu" or not front.loop("test", (limits,), steps, count, limit, lambda: True)
+
+
+@wp.kernel
+def note_round(
+    # In:
+    rounds: wp.array[int],
+    stride: int,
+    count: wp.array[int],
+    queue: wp.array[int],
+    # Out:
+    times_out: wp.array[int],
+    sums_out: wp.array[int],
+):
+    """Count the rounds of each path, and add up their numbers."""
+    i = wp.tid()
+    while i < count[0]:
+        path = queue[i]
+        i = i + stride
+        times_out[path] = times_out[path] + 1
+        sums_out[path] = sums_out[path] + rounds[0]
+
+
+@pytest.mark.parametrize("limit", [3, 4, 100])
+def test_late_steps_come_once_a_round(limit):
+    """Run late steps over the paths of each round with its number, the last one's too, whichever half it is."""
+    device, count = choose_device(scenes.SETTINGS.device), 50
+    front = Wavefront(64, False, device)
+    for longest in (7, 8):
+        limits = wp.array(np.arange(64, dtype=np.int32) % longest, dtype=int, device=device)
+        times, sums = (wp.zeros(64, dtype=int, device=device) for _ in range(2))
+
+        def steps(limits=limits, times=times, sums=sums):
+            return [Step(live_on, [limits, front.rounds], lane=1),
+                    Step(path_lists.list_living, [front.paths.state], fills=("next",), changes=False),
+                    Step(note_round, [front.late_rounds], changes=False, outputs=[times, sums], late=True)]
+
+        for again in (1, 2):
+            front.paths.state.zero_()
+            assert front.loop("late", (limits,), steps, count, limit, lambda: False)
+            lived = np.where(np.arange(64) < count, np.minimum(np.arange(64) % longest + 1, limit), 0)
+            assert (times.numpy() == again * lived).all()
+            assert (sums.numpy() == again * lived * (lived - 1) // 2).all()
+
+
+def test_lanes_give_the_same_picture(monkeypatch):
+    """Shade materials side by side, and trace shadow rays beside the next round's rays, or all one after the other."""
+    found = []
+    for apart in (True, False):
+        with monkeypatch.context() as patch:
+            if not apart:
+                patch.setattr(reference, "shadows_may_wait", lambda *_: False)
+                steps = reference.path_steps
+                patch.setattr(reference, "path_steps", lambda *a, steps=steps: [replace(s, lane=0) for s in steps(*a)])
+            found.append(rendered())
+    (beside, rays), (after, same_rays) = found
+    assert rays == same_rays and np.array_equal(beside, after)
