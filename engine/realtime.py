@@ -47,7 +47,7 @@ LIGHT_FRAMES = 16
 """Frames for the light passes of a picture that is going to be denoised"""
 ENDED_SAMPLES = 64
 """Samples of which all paths may end in the cache"""
-FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (8, 40, 120)}
+FILLING_AT = {"cpu": (2, 8, 24, 56, 120), "cuda": (12, 40, 120)}
 """Samples after which frames fill the cache, unseen: fewer times on a GPU, where each waits for its longest paths, and
 later, where the first take as long as five samples"""
 FILLING_FRAMES = {"cpu": 2, "cuda": 4}

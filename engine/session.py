@@ -394,7 +394,7 @@ class Session:
         """Return the kernels' settings; the same object as long as they are the same."""
         scene = self._scene
         key = (self.settings.light_paths, self.settings.film, scene.structures.has_filtered, scene.has_light_programs,
-               scene.material_table.lean, scene.material_table.subsurface)
+               scene.material_table.lean, scene.material_table.subsurface, scene.media is None)
         if passes not in self._kept_options or self._kept_options[passes][0] != key:
             self._kept_options[passes] = (key, path_options(self.settings, scene, passes))
         return self._kept_options[passes][1]

@@ -19,7 +19,7 @@ from .types import Scene
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-@wp.kernel(cuda_max_registers=56)
+@wp.kernel(cuda_max_registers=64)
 def trace_flat_paths(
     # In:
     scene: Scene,
@@ -52,7 +52,7 @@ def trace_flat_paths(
                     queue_out[wp.atomic_add(count_out, 0, 1)] = path
 
 
-@wp.kernel(cuda_max_registers=56)
+@wp.kernel(cuda_max_registers=64)
 def trace_flat_path_shadows(
     # In:
     scene: Scene,

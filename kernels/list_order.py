@@ -37,7 +37,7 @@ def first_listed(thread: int, threads: int, count: int) -> int:
     close together; of short ones each warp has fewer elements, down to one, as long as there are warps that idle.
     """
     lanes = wp.min(wp.min(threads, BUSY_WARPS * WARP) // wp.max(count, 1), WARP)
-    if lanes < 2:
+    if lanes < 2 or threads >= EACH_ONE:
         return thread
     if thread % lanes != 0:
         return count

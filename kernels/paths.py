@@ -20,14 +20,14 @@ PENDING_NONE = wp.constant(0)
 PENDING_TRIANGLE = wp.constant(1)
 PENDING_WORLD = wp.constant(2)
 
-# Bounces (Cycles' usual limit in comparisons) after which paths may not gain energy.
+# Bounces (Cycles' usual limit in comparisons) after which paths are ended harder and may not gain energy.
 LONG_PATH = wp.constant(32)
-# Bounces after which paths are ended harder, and the largest chance with which they go on. Less, or sooner, would weigh
-# the few that are left the more: their share falls by it in each bounce, the square of their weight rises by it,
-# without bound in a closed room of an albedo above its root. More makes samples wait for the longest of their paths:
-# a hundredth of them takes as long as all others on a GPU (docs/findings.md).
-ENDED_HARDER = wp.constant(8)
-LONG_SURVIVAL = wp.constant(0.88)
+# Largest chance with which they go on. Less would weigh the few that are left the more: their share falls by it in each
+# bounce, the square of their weight rises by it, without bound where its root is less than an albedo. More makes single
+# samples wait for the longest of their paths, between mirrors and in glass: 0.97 made them a third slower.
+LONG_SURVIVAL = wp.constant(0.92)
+# The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces.
+HARD_SURVIVAL = wp.constant(0.88)
 
 @wp.struct
 class Options:
@@ -35,6 +35,8 @@ class Options:
 
     max_bounces: int
     roulette_start: int
+    ended_harder: int
+    """Bounces after which few paths go on, where all wait for the last of them; 0: as LONG_PATH says"""
     clamp_direct: float
     """0: off"""
     clamp_indirect: float
@@ -250,14 +252,22 @@ def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoin
 
 
 @wp.func
-def survival_chance(options: Options, bounce: int, throughput: wp.vec3) -> float:
+def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: float) -> float:
     """Return the probability with which Russian roulette lets a path be shaded at its hit.
 
     Long paths end even where nothing absorbs: a scene may hold light between surfaces of albedo 1 for ever.
+
+    Args:
+        options: Settings of the path tracer.
+        bounce: Rays of the path but for the camera's.
+        throughput: Of the path.
+        pdf: Density of its last ray [1/sr]; 0 for a mirror's.
     """
     if bounce <= options.roulette_start:
         return 1.0
-    limit = wp.where(bounce < ENDED_HARDER, 1.0, LONG_SURVIVAL)
+    limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
+    if options.ended_harder > 0 and bounce >= options.ended_harder and pdf > 0.0:
+        limit = HARD_SURVIVAL
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
 
@@ -274,7 +284,7 @@ def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
 
     As in Cycles, what a hit emits and the world are added before: a ray that was traced shows what it meets.
     """
-    chance = survival_chance(options, bounce, paths.throughput[path])
+    chance = survival_chance(options, bounce, paths.throughput[path], paths.pdf[path])
     if bounce == BOUNCES and is_ending(options.known, paths.index[path]):
         # What is known may end it here.
         chance = 1.0

@@ -57,7 +57,7 @@ CPU_BAND_PATHS = 4096, 16384
 """Fewest and most of a band on the processor: a round has its launches whatever its size, and a cancel waits for it"""
 CPU_BANDS = 4
 """Bands for each thread, where the picture has enough pixels: threads wait for the last ones"""
-CUDA_BATCH_PATHS = 1 << 22
+CUDA_BATCH_PATHS = 1 << 23
 """Paths that keep a large GPU busy: small pictures take several samples at once up to this"""
 
 PATH_BYTES = 544

@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
+from burnish.engine import session as burnish_session
 from burnish.engine.device import choose_device, launch, record
 from burnish.engine.passes import reference, wavefront
 from burnish.engine.passes.wavefront import Step, Wavefront
+from burnish.engine.path_options import path_options
 from burnish.engine.session import Session
 from burnish.kernels import path_lists
 from burnish.kernels.paths import ENDED, Paths
 
-from tests import scenes
+from tests import light_scenes, scenes
 from tests.unit.engine.test_lean import coated, lean_materials, row_of_balls, use_full_machine
+from tests.unit.engine.test_media import absorber, boxes
 
 SIZE = (40, 16)
 
@@ -175,3 +178,43 @@ def test_lanes_give_the_same_picture(monkeypatch):
             found.append(rendered())
     (beside, rays), (after, same_rays) = found
     assert rays == same_rays and np.array_equal(beside, after)
+
+
+def in_a_box(monkeypatch, ended_harder, kind="DIFFUSE", **arguments):
+    """Return the mean of the light in a closed box that emits 1, path-traced, and the rays of a sample."""
+
+    def ending(*given):
+        options = path_options(*given)
+        options.ended_harder = ended_harder
+        return options
+
+    size, samples = (24, 24), 32
+    made = light_scenes.furnace(0.9, size)
+    if kind != "DIFFUSE":
+        made.delta.materials = {name: scenes.material(kind, **arguments) for name in made.delta.materials}
+    monkeypatch.setattr(burnish_session, "path_options", ending)
+    session = Session(scenes.SETTINGS)
+    session.update(made.delta)
+    session.configure(scenes.SETTINGS, made.camera, *size)
+    session.step(samples)
+    return session.read()[..., :3].mean(), session.rays / (size[0] * size[1] * samples)
+
+
+def test_long_paths_end_harder_without_loss(monkeypatch):
+    """Keep the light of a bright box where fewer paths go on after eight bounces; mirrors' go on as they do."""
+    light, rays = in_a_box(monkeypatch, 0)
+    harder, fewer = in_a_box(monkeypatch, 8)
+    assert abs(light - 10.0) < 0.2 and abs(harder - 10.0) < 0.3
+    assert fewer < 0.95 * rays
+    mirror = {"kind": "GLOSSY", "roughness": 0.0, "color": 0.9}
+    assert in_a_box(monkeypatch, 0, **mirror)[1] == in_a_box(monkeypatch, 8, **mirror)[1] > 5.0
+
+
+def test_processors_do_not_end_paths_harder():
+    """Leave paths alone where nothing waits for the last of them; on a GPU too in scenes with media."""
+    for media in (False, True):
+        session = Session(scenes.SETTINGS)
+        session.update(boxes(absorber(0.1, 0.5, 0.5)) if media else row_of_balls(lean_materials()))
+        session.configure(scenes.SETTINGS, scenes.camera_above(half=3.5), *SIZE)
+        waits = choose_device(scenes.SETTINGS.device) != "cpu" and not media
+        assert session._options(False).ended_harder == (8 if waits else 0)

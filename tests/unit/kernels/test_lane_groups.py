@@ -92,7 +92,7 @@ def test_first_elements_go_to_warps_of_their_own(device):
 
 
 def test_short_lists_use_idle_warps(device):
-    """Threads of a warp share a list the less the shorter it is, and take a long one's elements in their order."""
+    """Threads of a warp share a list the less the shorter it is; those with an element each take it."""
 
     @wp.kernel
     def firsts(count: int, stride: int, out: wp.array[int]):
@@ -106,3 +106,5 @@ def test_short_lists_use_idle_warps(device):
         taken = out.numpy()
         assert (taken[::lanes][:count] == np.arange(threads)[:len(taken[::lanes])][:count]).all(), count
         assert lanes == 1 or (np.delete(taken, np.s_[::lanes]) >= count).all(), count
+    wp.launch(firsts, threads, [5, 1 << 30], [out], device=device)
+    assert (out.numpy() == np.arange(threads)).all()
