@@ -73,8 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="device of all engines")
     parser.add_argument("--size", nargs=2, type=positive, metavar=("W", "H"),
                         help=f"size in pixels; default: the reference's, else {DEFAULT_SIZE[0]} {DEFAULT_SIZE[1]}")
-    parser.add_argument("--engines", type=name_list(OWN, "engine"), default=list(OWN), metavar="NAME,...",
-                        help=f"Burnish's own; default: {','.join(OWN)}")
+    default = [engine for engine in OWN if engine != "draft"]
+    parser.add_argument("--engines", type=name_list(OWN, "engine"), default=default, metavar="NAME,...",
+                        help=f"Burnish's own, of {', '.join(OWN)}; default: {','.join(default)}")
     parser.add_argument("--peers", type=name_list(PEERS, "peer"), default=["cycles", "cycles+oidn"],
                         metavar="NAME,...", help=f"of {', '.join(PEERS)}; '' for none; default: cycles,cycles+oidn")
     parser.add_argument("--budgets", type=comma_list(float, "--budgets"), metavar="SECONDS,...",

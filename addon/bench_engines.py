@@ -8,6 +8,7 @@ same pixel filter; compositing, sequencer, border and motion blur off.
 from __future__ import annotations
 
 import contextlib
+import enum
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,14 +19,16 @@ import numpy as np
 
 from ..engine.errors import BurnishError
 from ..engine.measure import View
+from ..engine.presets import apply_preset, preset_values
 from ..engine.read import read_exr
 from ..engine.scene import CameraData, SceneDelta
 from ..engine.session import Session
 from ..engine.setting_changes import Change
-from ..engine.settings import RenderSettings
+from ..engine.settings import Preset, RenderSettings
 from ..engine.write import LayerPixels, PassPixels, write_exr
 from . import final
 from .bench_store import OWN, Job
+from .extract.settings import settings_from_scene
 
 __all__ = ["BenchScene", "KeptSession", "kept_sessions", "open_scene", "save_picture", "sentence"]
 
@@ -109,6 +112,7 @@ class BenchScene:
         self.persistent = False
         """Whether engines keep the scene between renders"""
         self._loaded: set[str] = set()
+        self._settings = settings_from_scene(scene, viewport=False)
         render = scene.render
         render.resolution_x, render.resolution_y = size
         render.resolution_percentage = 100
@@ -247,6 +251,11 @@ class BenchScene:
         settings.light_paths.max_bounces = BOUNCES + 1
         settings.film.exposure = float(self.scene.cycles.film_exposure)
         settings.film.pixel_filter, settings.film.filter_width = 'BLACKMAN_HARRIS', FILTER_WIDTH
+        draft = apply_preset(self._settings, Preset.DRAFT) if job.engine == "draft" else self._settings
+        for path in preset_values(Preset.DRAFT):
+            group, name = path.split(".")
+            value = getattr(getattr(draft, group), name)
+            setattr(getattr(settings, group), name, value.name if isinstance(value, enum.Enum) else value)
         settings.denoiser.final_denoise = job.engine.endswith("+oidn")
 
     def _configure_cycles(self, job: Job) -> None:

@@ -27,16 +27,17 @@ from ..engine.measure import (
     shoot,
 )
 from ..engine.measure_moving import measure_pan
+from ..engine.presets import apply_preset
 from ..engine.session import DENOISED
-from ..engine.settings import Integrator, RenderSettings
+from ..engine.settings import Integrator, Preset, RenderSettings
 from . import oidn
 from .bench_engines import BenchScene, KeptSession, kept_sessions, save_picture
 from .bench_plan import LONG, TOLERANCE, most_frames
-from .bench_store import Job
+from .bench_store import FRAMES, Job
 
 __all__ = ["LiveScene"]
 
-FINISHED_AT = 4
+FINISHED_AT = 8
 """Frames after which finishing is timed: pictures of fewer are denoised in haste"""
 WARM_UP_SECONDS = 3.0
 """Longest run before anything is timed: records launches, and path-traces where the picture rests soon enough"""
@@ -85,6 +86,8 @@ class LiveScene:
         integrator = Integrator.REFERENCE if engines[0].startswith("reference") else Integrator.REALTIME
         sampling = dataclasses.replace(self._settings.sampling, integrator=integrator)
         self.settings = dataclasses.replace(self._settings, sampling=sampling)
+        if "draft" in engines:
+            self.settings = apply_preset(self.settings, Preset.DRAFT)
         denoised = any(engine.endswith("+oidn") for engine in engines)
         self.view = dataclasses.replace(self._view, passes=("Combined", *((DENOISED,) if denoised else ())))
         self.view.configure(session, self.settings)
@@ -104,7 +107,7 @@ class LiveScene:
         session.step(1)
         finish()
         denoiser = self.settings.denoiser
-        at_rest = denoiser.rest_frames + 2 if denoiser.path_traced_rest and engine == "realtime" else 2
+        at_rest = denoiser.rest_frames + 2 if denoiser.path_traced_rest and engine in FRAMES else 2
         frame_curve(session, min(WARM_UP_SECONDS, CURVE_SHARE * max(longest, 0.1)),
                     lambda: self.stopped() or session.samples_done >= max(at_rest, TIMED_AT))
         self.check()
@@ -114,7 +117,7 @@ class LiveScene:
         self.check()
         facts = {"curve": curve, "finish": statistics.median(finishes), "device": session.device_name,
                  "per_frame": curve[-1][1] / curve[-1][0], "scene": self._scene_facts(),
-                 "frame_times": self._sections() if engine == "realtime" else {}, "skipped": dict(session.skipped)}
+                 "frame_times": self._sections() if engine in FRAMES else {}, "skipped": dict(session.skipped)}
         self.facts[engine] = facts
         return facts
 
@@ -208,7 +211,7 @@ class LiveScene:
                   "blender": bpy.app.version_string, "repetitions": times}
         if shot is None:
             first = statistics.median(times) if times else facts["curve"][0][1] + facts["finish"]
-            frame = "frame" if job.engine == "realtime" else "sample"
+            frame = "frame" if job.engine in FRAMES else "sample"
             return {**record, "samples": 0, "seconds": None,
                     "no_picture": f"no picture: one {frame}, read back, takes {1e3 * first:.3g} ms"}
         save_picture(path, shot.picture)

@@ -21,9 +21,9 @@ from .bench_store import ENGINES, MOVING
 
 __all__ = ["encode_jpeg", "error_maps", "find_matplotlib", "mean_plot", "pass_bars", "time_plot"]
 
-COLORS = {"realtime": "#d62728", "realtime+oidn": "#ff9a3c", "reference": "#8c564b",
+COLORS = {"realtime": "#d62728", "realtime+oidn": "#ff9a3c", "draft": "#e377c2", "reference": "#8c564b",
           "reference+oidn": "#c49c94", "cycles": "#1f77b4", "cycles+oidn": "#17a2b8", "eevee": "#7a7a7a"}
-MARKERS = {"realtime": "o", "realtime+oidn": "s", "reference": "D",
+MARKERS = {"realtime": "o", "realtime+oidn": "s", "draft": "*", "reference": "D",
            "reference+oidn": "d", "cycles": "^", "cycles+oidn": "v", "eevee": "x"}
 CLOCK_TITLES = {"warm": "scene resident", "cold": "second F12, everything in"}
 FLOORS = {"flip": 0.5, "relative_mse": 0.25}

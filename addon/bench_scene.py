@@ -169,7 +169,7 @@ class SceneBench:
         for engine, wanted in by_engine(short).items():
             self._guarded(wanted, lambda e=engine, w=wanted: self.live.render_short(
                 e, w, self.facts(e), self.pictures_of, self.begin, self.done))
-        for engines in (("realtime",), ("realtime+oidn",), ("reference", "reference+oidn")):
+        for engines in (("realtime",), ("realtime+oidn",), ("draft",), ("reference", "reference+oidn")):
             long = [job for job in jobs if job not in short and job.engine in engines]
             if long:
                 self._guarded(long, lambda w=long: self.live.render_long(

@@ -17,15 +17,20 @@ from typing import Any
 
 from ..engine.errors import BurnishError
 
-__all__ = ["ENGINES", "OWN", "PEERS", "Job", "SceneStore", "file_hash", "source_hash", "write_bytes", "write_text"]
+__all__ = [
+    "ENGINES", "FRAMES", "OWN", "PEERS", "Job", "SceneStore", "file_hash", "source_hash", "write_bytes", "write_text",
+]
 
 ENGINES = {"truth": "Truth", "realtime": "Burnish Realtime", "realtime+oidn": "Burnish Realtime + OIDN",
+           "draft": "Burnish Draft",
            "reference": "Burnish Reference", "reference+oidn": "Burnish Reference + OIDN",
            "cycles": "Cycles", "cycles+oidn": "Cycles + OIDN", "eevee": "EEVEE"}
 """Engines by their names on the command line, with their names in tables"""
 
-OWN = ("realtime", "realtime+oidn", "reference", "reference+oidn")
+OWN = ("realtime", "realtime+oidn", "draft", "reference", "reference+oidn")
 """Engines whose results depend on this package's source"""
+FRAMES = ("realtime", "draft")
+"""Those of them whose pictures are frames; the second with the preset for the shortest times"""
 PEERS = ("cycles", "cycles+oidn", "eevee")
 
 OVERHEAD = 1.5
@@ -58,7 +63,7 @@ class Job:
         """Name for people."""
         if self.clock == MOVING:
             return f"{ENGINES[self.engine]}, camera moving"
-        unit = ("frames" if self.samples != 1 else "frame") if self.engine == "realtime" else "spp"
+        unit = ("frames" if self.samples != 1 else "frame") if self.engine in FRAMES else "spp"
         amount = f"{self.budget:g} s {self.clock}".rstrip() if self.budget else f"{self.samples} {unit}"
         return f"{ENGINES[self.engine]} {amount}" + (f" seed {self.seed}" if self.seed else "")
 

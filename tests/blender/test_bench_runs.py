@@ -214,6 +214,22 @@ def test_burnish_is_measured(tmp_path: Path, burnish: Run) -> None:
     assert 3.0 < noise[0] / noise[2] < 7.0
 
 
+@pytest.mark.slow
+def test_draft_leaves_other_engines_as_they_are(tmp_path: Path, burnish: Run) -> None:
+    """Render the Draft preset as an engine of its own; the scene's settings are there again for those after it."""
+    errors = {}
+    for engines in ("draft,realtime", "realtime"):
+        result = burnish("bench", CORNELL, "--device", "cpu", "--size", 64, 36, "--samples", 2, "--truth", 32,
+                         "--engines", engines, "--peers", "", "--budgets", "2", "--clocks", "warm", "--output",
+                         tmp_path / engines, timeout=TIMEOUT)
+        assert result.returncode == 0, result.stdout + result.stderr
+        errors[engines] = {name: row["errors"]["flip"] for name, row in rows_of(tmp_path / engines).items()}
+    both = errors["draft,realtime"]
+    assert {"Burnish Draft 2 frames", "Burnish Draft 2 s warm", "Burnish Realtime 2 s warm"} < set(both)
+    assert both["Burnish Draft 2 frames"] != both["Burnish Realtime 2 frames"]
+    assert both["Burnish Realtime 2 frames"] == errors["realtime"]["Burnish Realtime 2 frames"]
+
+
 SUBSETS = """
 import sys
 from pathlib import Path

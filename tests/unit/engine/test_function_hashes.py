@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hashes of kernels' functions are worked out once for all modules, and are those that Warp makes of each."""
+"""Hashes of kernels' functions are worked out once for all modules, and are those that Warp makes of each.
+
+Nor are functions looked through for others when they are defined.
+"""
 
 from __future__ import annotations
 
 import json
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 
 CODE = """
 import json
@@ -31,3 +35,32 @@ def test_shared_hashes_are_those_of_each_module(run_python: Callable[..., subpro
     alone, shared = (json.loads(run.stdout.splitlines()[-1]) for run in runs)
     assert shared["hashes"] == alone["hashes"] and len(set(shared["hashes"].values())) == 3
     assert shared["calls"] < 0.75 * alone["calls"]
+
+
+REFERENCES = """
+import warp as wp
+looked = wp.Module._find_references
+seen = []
+wp.Module._find_references = lambda self, adjoint: (seen.append(self.name), looked(self, adjoint))[1]
+import burnish.kernels.cache_lean
+import other_kernels
+print(sorted(name for name in seen if "burnish" in name), [n for n in seen if n == "other_kernels"])
+"""
+
+OTHER = """
+import warp as wp
+
+@wp.func
+def twice(x: float) -> float:
+    return 2.0 * x
+"""
+
+
+def test_functions_are_not_looked_through(
+    run_python: Callable[..., subprocess.CompletedProcess], tmp_path: Path,
+) -> None:
+    """Look through the functions of others alone."""
+    (tmp_path / "other_kernels.py").write_text(OTHER)
+    run = run_python(f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{REFERENCES}")
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "[] ['other_kernels']"
