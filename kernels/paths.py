@@ -28,6 +28,12 @@ LONG_PATH = wp.constant(32)
 LONG_SURVIVAL = wp.constant(0.92)
 # The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces.
 HARD_SURVIVAL = wp.constant(0.88)
+# The same for all paths of the first samples, which are waited for alone: so many bounces sooner, and off mirrors and
+# clear glass so many later.
+EARLY_SAMPLES = wp.constant(wp.uint32(2))
+EARLY_SURVIVAL = wp.constant(0.75)
+SOONER = wp.constant(2)
+LATER = wp.constant(4)
 
 @wp.struct
 class Options:
@@ -252,7 +258,7 @@ def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoin
 
 
 @wp.func
-def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: float) -> float:
+def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: float, index: wp.uint32) -> float:
     """Return the probability with which Russian roulette lets a path be shaded at its hit.
 
     Long paths end even where nothing absorbs: a scene may hold light between surfaces of albedo 1 for ever.
@@ -262,12 +268,17 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: flo
         bounce: Rays of the path but for the camera's.
         throughput: Of the path.
         pdf: Density of its last ray [1/sr]; 0 for a mirror's.
+        index: Number of the sample.
     """
     if bounce <= options.roulette_start:
         return 1.0
     limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
-    if options.ended_harder > 0 and bounce >= options.ended_harder and pdf > 0.0:
-        limit = HARD_SURVIVAL
+    if options.ended_harder > 0:
+        if pdf > 0.0 and bounce >= options.ended_harder:
+            limit = HARD_SURVIVAL
+        early = options.ended_harder + wp.where(pdf > 0.0, -SOONER, LATER)
+        if index < EARLY_SAMPLES and bounce >= early:
+            limit = EARLY_SURVIVAL
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
 
@@ -284,7 +295,7 @@ def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
 
     As in Cycles, what a hit emits and the world are added before: a ray that was traced shows what it meets.
     """
-    chance = survival_chance(options, bounce, paths.throughput[path], paths.pdf[path])
+    chance = survival_chance(options, bounce, paths.throughput[path], paths.pdf[path], paths.index[path])
     if bounce == BOUNCES and is_ending(options.known, paths.index[path]):
         # What is known may end it here.
         chance = 1.0

@@ -96,7 +96,7 @@ class FinalDenoise:
         fewest, most = GUIDE_SAMPLES
         wanted = fewest if tracer.cuda else PROCESSOR_GUIDES
         collected = buffers.guides
-        if collected is not None and tracer.samples_done >= (1 if collected.moving else wanted):
+        if collected is not None and tracer.samples_done > 0:
             if self._guides is None or self._guide_samples != tracer.samples_done:
                 self._guides, self._guide_samples = collected.means(), tracer.samples_done
                 self._noiseless = self._guide_samples >= CLEAN_SAMPLES and not collected.moving

@@ -207,7 +207,9 @@ def test_long_paths_end_harder_without_loss(monkeypatch):
     assert abs(light - 10.0) < 0.2 and abs(harder - 10.0) < 0.3
     assert fewer < 0.95 * rays
     mirror = {"kind": "GLOSSY", "roughness": 0.0, "color": 0.9}
-    assert in_a_box(monkeypatch, 0, **mirror)[1] == in_a_box(monkeypatch, 8, **mirror)[1] > 5.0
+    mirrored = in_a_box(monkeypatch, 8, **mirror)[1] / in_a_box(monkeypatch, 0, **mirror)[1]
+    # The first two of 32 samples end harder.
+    assert 0.95 < mirrored < 1.0
 
 
 def test_processors_do_not_end_paths_harder():
