@@ -20,8 +20,8 @@ def path_options(settings: RenderSettings, scene: DeviceScene, passes: bool) -> 
     """Return the kernels' settings for a scene; `passes`: whether the first hits' data are kept."""
     paths, options = settings.light_paths, Options()
     options.max_bounces, options.roulette_start = paths.max_bounces, paths.roulette_start
-    ends = wp.get_device(scene.device).is_cuda and scene.media is None
-    options.ended_harder = ENDED_HARDER if ends else 0
+    waits = wp.get_device(scene.device).is_cuda and scene.media is None
+    options.ended_harder = ENDED_HARDER if waits else 0
     options.clamp_direct, options.clamp_indirect = paths.clamp_direct, paths.clamp_indirect
     options.transparent = int(settings.film.transparent)
     options.exposure = settings.film.exposure

@@ -66,7 +66,7 @@ class PathMedia:
                      [scene, options, *self.described, tables], fills=("scattered",), outputs=[self.kept, groups])]
 
     def miss_step(self, scene: Scene, options: Options) -> Step:
-        """Return what adds the world and plays roulette, and lists what needs the full machine."""
+        """Return what adds the world, plays roulette and lists hits by what shades them."""
         return Step(media_scatter.shade_media_misses, [scene, options], fills=HIT_LISTS)
 
     def scatter_step(self, shading: list, rounds: wp.array) -> Step:

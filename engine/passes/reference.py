@@ -287,7 +287,7 @@ class ReferencePass:
 
 
 def hit_steps(slot: Wavefront, scene: Scene, options: Options) -> list[Step]:
-    """Return what finds the paths' hits, adds the world and plays roulette, and lists what needs the full machine."""
+    """Return what finds the paths' hits, adds the world, plays roulette and lists hits by what shades them."""
     if is_flat(scene):
         steps = [Step(flat_paths.trace_flat_paths, [scene, options.filtered], fills=("layered",))]
     else:

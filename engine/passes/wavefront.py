@@ -35,7 +35,7 @@ LISTS = {"plain_hits": path_lists.PLAIN_HITS, "full_hits": path_lists.FULL_HITS,
 """Beside "living", the list of each round"""
 
 HIT_LISTS = "plain_hits", "full_hits"
-"""What kernels that play roulette fill"""
+"""What kernels that play roulette fill: hits by what shades them, but for those on lean materials"""
 
 LATE_LANE = 2
 """Lane of late steps"""
