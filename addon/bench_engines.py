@@ -251,10 +251,10 @@ class BenchScene:
         settings.light_paths.max_bounces = BOUNCES + 1
         settings.film.exposure = float(self.scene.cycles.film_exposure)
         settings.film.pixel_filter, settings.film.filter_width = 'BLACKMAN_HARRIS', FILTER_WIDTH
-        draft = apply_preset(self._settings, Preset.DRAFT) if job.engine == "draft" else self._settings
+        wanted = apply_preset(self._settings, Preset.DRAFT) if job.engine == "draft" else self._settings
         for path in preset_values(Preset.DRAFT):
             group, name = path.split(".")
-            value = getattr(getattr(draft, group), name)
+            value = getattr(getattr(wanted, group), name)
             setattr(getattr(settings, group), name, value.name if isinstance(value, enum.Enum) else value)
         settings.denoiser.final_denoise = job.engine.endswith("+oidn")
 
