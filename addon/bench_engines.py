@@ -8,7 +8,6 @@ same pixel filter; compositing, sequencer, border and motion blur off.
 from __future__ import annotations
 
 import contextlib
-import enum
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from ..engine.errors import BurnishError
 from ..engine.measure import View
-from ..engine.presets import apply_preset, preset_values
+from ..engine.presets import governed_values, preset_values, write_values
 from ..engine.read import read_exr
 from ..engine.scene import CameraData, SceneDelta
 from ..engine.session import Session
@@ -112,7 +111,7 @@ class BenchScene:
         self.persistent = False
         """Whether engines keep the scene between renders"""
         self._loaded: set[str] = set()
-        self._settings = settings_from_scene(scene, viewport=False)
+        self._governed = governed_values(settings_from_scene(scene, viewport=False))
         render = scene.render
         render.resolution_x, render.resolution_y = size
         render.resolution_percentage = 100
@@ -251,11 +250,7 @@ class BenchScene:
         settings.light_paths.max_bounces = BOUNCES + 1
         settings.film.exposure = float(self.scene.cycles.film_exposure)
         settings.film.pixel_filter, settings.film.filter_width = 'BLACKMAN_HARRIS', FILTER_WIDTH
-        wanted = apply_preset(self._settings, Preset.DRAFT) if job.engine == "draft" else self._settings
-        for path in preset_values(Preset.DRAFT):
-            group, name = path.split(".")
-            value = getattr(getattr(wanted, group), name)
-            setattr(getattr(settings, group), name, value.name if isinstance(value, enum.Enum) else value)
+        write_values(settings, preset_values(Preset.DRAFT) if job.engine == "draft" else self._governed)
         settings.denoiser.final_denoise = job.engine.endswith("+oidn")
 
     def _configure_cycles(self, job: Job) -> None:

@@ -13,10 +13,9 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["share_function_hashes"]
+from ..kernels.registration import PACKAGE
 
-KERNELS = __name__.rpartition(".")[0].rpartition(".")[0] + ".kernels."
-"""What the names of modules begin with whose functions never change once they are imported"""
+__all__ = ["share_function_hashes"]
 
 
 def share_function_hashes() -> None:
@@ -42,5 +41,5 @@ def share_function_hashes() -> None:
 def _is_lasting(func: Any) -> bool:
     """Tell whether a function's hash can't change any more, and is the same for all modules."""
     overloads = (getattr(func, "user_overloads", {}) | getattr(func, "user_templates", {})).values()
-    return getattr(func, "__module__", "").startswith(KERNELS) and not any(
+    return getattr(func, "__module__", "").startswith(PACKAGE) and not any(
         getattr(overload.adj, "deferred_static_expressions", ()) for overload in overloads)

@@ -7,6 +7,7 @@ The rest (samples, device, film) stays as it is.
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from typing import Any
 
 from .settings import CacheKey, Preset, ReflectionResolution, RenderSettings
 
-__all__ = ["PRESETS", "apply_preset", "matching_preset", "preset_values"]
+__all__ = ["PRESETS", "apply_preset", "governed_values", "matching_preset", "preset_values", "write_values"]
 
 GOVERNED = ("probes", "cache", "direct_light", "reflections", "denoiser")
 
@@ -97,11 +98,21 @@ def preset_values(preset: Preset) -> dict[str, Any]:
     Raises:
         KeyError: For Preset.CUSTOM, which sets nothing.
     """
-    changes, defaults = PRESETS[preset], RenderSettings()
-    values = {f"{group}.{field.name}": getattr(getattr(defaults, group), field.name)
-              for group in GOVERNED for field in fields(getattr(defaults, group))
-              if f"{group}.{field.name}" not in KEPT}
-    return values | changes
+    return governed_values(RenderSettings()) | PRESETS[preset]
+
+
+def governed_values(settings: RenderSettings) -> dict[str, Any]:
+    """Return the values of those settings that presets govern, by "group.setting"."""
+    return {f"{group}.{field.name}": getattr(getattr(settings, group), field.name)
+            for group in GOVERNED for field in fields(getattr(settings, group))
+            if f"{group}.{field.name}" not in KEPT}
+
+
+def write_values(settings: Any, values: Mapping[str, Any]) -> None:
+    """Set values by "group.setting" in Blender's property groups (`scene.burnish`), where enumerations have names."""
+    for path, value in values.items():
+        group, name = path.split(".")
+        setattr(getattr(settings, group), name, value.name if isinstance(value, enum.Enum) else value)
 
 
 def apply_preset(settings: RenderSettings, preset: Preset) -> RenderSettings:

@@ -21,7 +21,7 @@ from .media import (
     phase_value,
     return_chance,
 )
-from .misses import SHADED_FULL, SHADED_PLAIN, add_world, shaded_by
+from .misses import add_world, list_hit
 from .path_guides import light_before, show_light
 from .path_shading import LIGHT_CANDIDATES, aim_shadow_ray, begin_choice, candidate_place
 from .paths import ENDED, Options, Paths, survives
@@ -83,11 +83,8 @@ def shade_media_misses(
                     left = wp.clamp(mean_component(paths_out.throughput[path]), 0.0, 1.0)
                     paths_out.radiance[path] = wp.vec4(r[0], r[1], r[2], 1.0 - left)
             else:
-                kernel = shaded_by(scene, options, paths_out, path, bounce)
-                if kernel == SHADED_PLAIN:
-                    plain_out[wp.atomic_add(plain_count_out, 0, 1)] = path
-                elif kernel == SHADED_FULL:
-                    full_out[wp.atomic_add(full_count_out, 0, 1)] = path
+                list_hit(
+                    scene, options, paths_out, path, bounce, plain_out, plain_count_out, full_out, full_count_out)
 
 
 @wp.func

@@ -22,10 +22,6 @@ from .wide_loads import load_material_flags
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
-SHADED_PLAIN = wp.constant(1)
-SHADED_FULL = wp.constant(2)
-"""Kernels for hits whose materials are not lean"""
-
 
 @wp.func
 def gather_lamps(scene: Scene, options: Options, paths: Paths, path: int):
@@ -80,20 +76,27 @@ def add_world(scene: Scene, options: Options, paths: Paths, path: int, bounce: i
 
 
 @wp.func
-def shaded_by(scene: Scene, options: Options, paths: Paths, path: int, bounce: int) -> int:
-    """Play roulette at a hit that does not emit; return which kernel shades it, 0 where none is to be told.
+def list_hit(
+    scene: Scene, options: Options, paths: Paths, path: int, bounce: int, plain: wp.array[int],
+    plain_count: wp.array[int], full: wp.array[int], full_count: wp.array[int],
+):
+    """Play roulette at a hit that does not emit; list the path if it goes on and its material is not lean; atomic.
 
-    Lean materials' kernel looks for its paths itself.
+    Lean materials' kernel looks for its paths itself; lists are of plain materials and of those that need the full
+    machine.
     """
     hit = paths.hit[path]
     material = triangle_material(scene, hit[0], hit[1])
     if not may_emit(scene, material):
         if not survives(options, paths, path, bounce):
-            return 0
+            return
     flags = load_material_flags(scene.materials.materials, material)[3]
     if (flags & (MATERIAL_LEAN | MATERIAL_SUBSURFACE)) == MATERIAL_LEAN:
-        return 0
-    return wp.where((flags & (MATERIAL_PLAIN | MATERIAL_SUBSURFACE)) == MATERIAL_PLAIN, SHADED_PLAIN, SHADED_FULL)
+        return
+    if (flags & (MATERIAL_PLAIN | MATERIAL_SUBSURFACE)) == MATERIAL_PLAIN:
+        plain[wp.atomic_add(plain_count, 0, 1)] = path
+    else:
+        full[wp.atomic_add(full_count, 0, 1)] = path
 
 
 @wp.kernel(cuda_max_registers=128)
@@ -131,8 +134,5 @@ def shade_misses(
                 paths_out.state[path] = ENDED
                 show_light(options.exposure, paths_out, path, bounce, before)
             else:
-                kernel = shaded_by(scene, options, paths_out, path, bounce)
-                if kernel == SHADED_PLAIN:
-                    plain_out[wp.atomic_add(plain_count_out, 0, 1)] = path
-                elif kernel == SHADED_FULL:
-                    full_out[wp.atomic_add(full_count_out, 0, 1)] = path
+                list_hit(
+                    scene, options, paths_out, path, bounce, plain_out, plain_count_out, full_out, full_count_out)

@@ -12,9 +12,10 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["skip_references"]
+__all__ = ["PACKAGE", "skip_references"]
 
 PACKAGE = __name__.rpartition(".")[0] + "."
+"""What the names of modules begin with whose functions never change once they are imported"""
 
 
 def skip_references() -> None:

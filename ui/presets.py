@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.presets import matching_preset, preset_values
+from ..engine.presets import matching_preset, preset_values, write_values
 from ..engine.settings import Preset
 from .properties import enum_items, title
 
@@ -51,10 +51,7 @@ class BURNISH_OT_apply_preset(bpy.types.Operator):
 
     def execute(self, context: Any) -> set[str]:
         """Set."""
-        settings = context.scene.burnish
-        for path, value in preset_values(Preset[self.preset]).items():
-            group, name = path.split(".")
-            setattr(getattr(settings, group), name, value.name if isinstance(value, enum.Enum) else value)
+        write_values(context.scene.burnish, preset_values(Preset[self.preset]))
         return {'FINISHED'}
 
 

@@ -77,6 +77,18 @@ class _Command:
     late: bool = False
 
 
+def late_among(commands: list[_Command]) -> list[_Command]:
+    """Return those of a round's launches that are of the round before, which come once more after the last."""
+    return [command for command in commands if command.late]
+
+
+def launch_filled(commands: list[_Command], counts: np.ndarray) -> None:
+    """Launch in turn what works on lists that are not empty by then."""
+    for command in commands:
+        if counts[command.place]:
+            command.launch.launch()
+
+
 def make_paths(count: int, passes: bool, device: str) -> Paths:
     """Allocate the states of `count` paths."""
     paths = Paths()
@@ -216,15 +228,11 @@ class Wavefront:
             return True
         half, counts = 0, self._counts.numpy()
         while counts[half]:
-            for command in kept[1][half]:
-                if counts[command.place]:
-                    command.launch.launch()
+            launch_filled(kept[1][half], counts)
             if should_stop():
                 return False
             half = 1 - half
-        for command in kept[1][half]:
-            if command.late and counts[command.place]:
-                command.launch.launch()
+        launch_filled(late_among(kept[1][half]), counts)
         return True
 
     def _run_graph(self, name: str, halves: tuple[list[_Command], ...]) -> None:
@@ -233,9 +241,8 @@ class Wavefront:
 
         def finish() -> None:
             # The last round was the second half's.
-            for command in halves[0]:
-                if command.late:
-                    command.launch.launch()
+            for command in late_among(halves[0]):
+                command.launch.launch()
 
         def body() -> None:
             for commands in halves:
