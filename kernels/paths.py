@@ -26,7 +26,7 @@ LONG_PATH = wp.constant(32)
 # bounce, the square of their weight rises by it, without bound where its root is less than an albedo. More makes single
 # samples wait for the longest of their paths, between mirrors and in glass: 0.97 made them a third slower.
 LONG_SURVIVAL = wp.constant(0.92)
-# The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces.
+# The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces, which weigh 1 at most.
 HARD_SURVIVAL = wp.constant(0.88)
 # The same for all paths of the first samples, which are waited for alone: so many bounces sooner, and off mirrors and
 # clear glass so many later.
@@ -272,15 +272,19 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: flo
     """
     if bounce <= options.roulette_start:
         return 1.0
+    largest = max_component(throughput)
     limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
     if options.ended_harder > 0:
+        # What has come to weigh more than it began with ends by that less often: else the squares of weights would grow
+        # without bound wherever the root of the chance is less than an albedo.
+        grown = wp.where(pdf > 0.0, wp.max(largest, 1.0), 1.0)
         if pdf > 0.0 and bounce >= options.ended_harder:
-            limit = HARD_SURVIVAL
+            limit = wp.min(HARD_SURVIVAL * grown, limit)
         early = options.ended_harder + wp.where(pdf > 0.0, -SOONER, LATER)
         if index < EARLY_SAMPLES and bounce >= early:
-            limit = EARLY_SURVIVAL
+            limit = wp.min(EARLY_SURVIVAL * grown, limit)
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
-    return wp.clamp(wp.sqrt(max_component(throughput)), 0.05, limit)
+    return wp.clamp(wp.sqrt(largest), 0.05, limit)
 
 
 @wp.func

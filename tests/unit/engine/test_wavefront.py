@@ -15,7 +15,7 @@ from burnish.engine.passes.wavefront import Step, Wavefront
 from burnish.engine.path_options import path_options
 from burnish.engine.session import Session
 from burnish.kernels import path_lists
-from burnish.kernels.paths import ENDED, Paths
+from burnish.kernels.paths import EARLY_SAMPLES, EARLY_SURVIVAL, ENDED, HARD_SURVIVAL, Options, Paths, survival_chance
 
 from tests import light_scenes, scenes
 from tests.unit.engine.test_lean import coated, lean_materials, row_of_balls, use_full_machine
@@ -210,6 +210,29 @@ def test_long_paths_end_harder_without_loss(monkeypatch):
     mirrored = in_a_box(monkeypatch, 8, **mirror)[1] / in_a_box(monkeypatch, 0, **mirror)[1]
     # The first two of 32 samples end harder.
     assert 0.95 < mirrored < 1.0
+
+
+@wp.kernel
+def weigh_path(albedo: float, options: Options, first: int, bounces: int, weights: wp.array[float]):
+    """Note how much a path weighs that goes on off matte walls of one albedo, sample by sample."""
+    index = wp.tid()
+    throughput = wp.vec3(albedo, albedo, albedo)
+    for bounce in range(first, bounces):
+        chance = survival_chance(options, bounce, throughput, 0.3, wp.uint32(index))
+        throughput = throughput * (albedo / chance)
+        weights[index * bounces + bounce] = throughput[0]
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.9, 0.95, 1.0])
+def test_weights_of_long_paths_are_bounded(device, albedo):
+    """Let no path that is ended harder weigh much more than one: sums of such weights would have no variance."""
+    bounces, samples = 32, int(EARLY_SAMPLES) + 1
+    options = Options()
+    options.ended_harder, options.roulette_start = 8, 2
+    weights = wp.zeros(samples * bounces, dtype=float, device=device)
+    wp.launch(weigh_path, samples, inputs=[albedo, options, 1, bounces], outputs=[weights], device=device)
+    for index, heaviest in enumerate(weights.numpy().reshape(samples, bounces).max(1)):
+        assert heaviest <= 1.001 / (EARLY_SURVIVAL if index < EARLY_SAMPLES else HARD_SURVIVAL)
 
 
 def test_processors_do_not_end_paths_harder():
