@@ -15,8 +15,8 @@ from .gbuffer_rays import PrimaryHits, primary_ray, store_primary_hit, store_pri
 from .geometry_math import transform_point
 from .intersect import MISS, Hit, Layer, closer_layer, closest_instanced, static_layer
 from .pixel_order import pixel_in_blocks
-from .raster_pixels import Visibility, key_depth, key_face
-from .types import FrameData, Geometry, Scene
+from .raster_pixels import Visibility, key_face
+from .types import Geometry, Scene
 from .view import View
 from .wide_bvh import meet_triangle
 from .wide_loads import load_corner, load_instance, load_view
@@ -25,23 +25,39 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def nearest_weights(p: wp.vec3, q: wp.vec3, r: wp.vec3, point: wp.vec3) -> wp.vec2:
-    """Return the weights of the second and third vertex of the point of a triangle that is closest to one beside it."""
-    a = q - p
-    b = r - p
-    d = point - p
-    aa = wp.dot(a, a)
-    ab = wp.dot(a, b)
-    bb = wp.dot(b, b)
-    determinant = wp.max(aa * bb - ab * ab, 1.0e-30)
-    u = wp.clamp((bb * wp.dot(a, d) - ab * wp.dot(b, d)) / determinant, 0.0, 1.0)
-    return wp.vec2(u, wp.clamp((aa * wp.dot(b, d) - ab * wp.dot(a, d)) / determinant, 0.0, 1.0 - u))
+def nearest_of_edge(origin: wp.vec3, direction: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    """Return where a ray comes closest to an edge: distance along it, share of the way from `a`, square of the gap."""
+    way = b - a
+    start = a - origin
+    along = wp.dot(direction, way)
+    across = wp.max(wp.length_sq(way) - along * along, 1.0e-30)
+    share = wp.clamp((along * wp.dot(direction, start) - wp.dot(way, start)) / across, 0.0, 1.0)
+    point = start + way * share
+    t = wp.dot(direction, point)
+    return wp.vec3(t, share, wp.length_sq(point - direction * t))
 
 
 @wp.func
-def seen_hit(
-    geometry: Geometry, frame: FrameData, nearest: wp.array[wp.uint64], pixel: int, ray: CameraRay,
-) -> Hit:
+def nearest_of_edges(origin: wp.vec3, direction: wp.vec3, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> wp.vec3:
+    """Return where a ray goes by a triangle that it should meet: distance, weights of the second and third vertex.
+
+    Of triangles a hundred thousand times as long as wide neither their planes nor the depths drawn are exact.
+    """
+    found = nearest_of_edge(origin, direction, p, q)
+    result = wp.vec3(found[0], found[1], 0.0)
+    gap = found[2]
+    found = nearest_of_edge(origin, direction, q, r)
+    if found[2] < gap:
+        result = wp.vec3(found[0], 1.0 - found[1], found[1])
+        gap = found[2]
+    found = nearest_of_edge(origin, direction, r, p)
+    if found[2] < gap:
+        result = wp.vec3(found[0], 0.0, 1.0 - found[1])
+    return result
+
+
+@wp.func
+def seen_hit(geometry: Geometry, nearest: wp.array[wp.uint64], pixel: int, ray: CameraRay) -> Hit:
     """Return the hit in a pixel of the visibility buffer; `nearest`: as in Visibility."""
     hit = no_hit(ray.t_max)
     key = nearest[pixel]
@@ -60,10 +76,10 @@ def seen_hit(
             hit.v = 1.0 - found[1] - found[2]
         else:
             # Some ten thousandths of a pixel beside an edge, by rounding.
-            hit.t = ray.t_max * (key_depth(key) - frame.clip_start) / (frame.clip_end - frame.clip_start)
-            weights = nearest_weights(p, q, r, ray.origin + ray.direction * hit.t)
-            hit.u = weights[0]
-            hit.v = weights[1]
+            beside = nearest_of_edges(ray.origin, ray.direction, p, q, r)
+            hit.t = beside[0]
+            hit.u = beside[1]
+            hit.v = beside[2]
     return hit
 
 
@@ -86,7 +102,7 @@ def resolve_hits(
         return
     view = load_view(views)
     ray = primary_ray(view, pixel % width, pixel // width)
-    store_primary_hit(hits_out, pixel, seen_hit(scene.geometry, view.camera, nearest, pixel, ray))
+    store_primary_hit(hits_out, pixel, seen_hit(scene.geometry, nearest, pixel, ray))
     if filtered == 1:
         hits_out.layer[pixel] = wp.vec2i(MISS, 0)
         hits_out.weight[pixel] = wp.vec3(1.0, 1.0, 1.0)

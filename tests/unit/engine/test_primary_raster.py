@@ -12,6 +12,7 @@ from burnish.engine import wide_bvh
 from burnish.engine.hair import Strands, make_tubes
 from burnish.engine.passes.primary_raster import GROUPS
 from burnish.engine.scene import MeshData
+from burnish.engine.stress.surfaces import ROOM_SIZE, on_floor, slivers
 from burnish.kernels.raster import LANES, raster_tiles
 from burnish.kernels.raster_pixels import LARGEST_BITS
 
@@ -124,6 +125,18 @@ def test_slivers_and_points():
     """Draw triangles that are lines or points, of which few pixels' rays meet any."""
     compare(one(soup(3000, 3, 1.0, 3.0, slivers=True)), camera(), differing=3)
     compare(one(soup(100, 3, 0.0, 3.0)), camera())
+
+
+def test_slivers_lie_where_they_are():
+    """Meet a floor of triangles 200,000 times as long as wide where rays do, whichever of them a pixel shows.
+
+    Neither their planes nor the depths at which they are drawn are exact: pixels lay up to a hundredth of the way off.
+    """
+    scene = on_floor(slivers(2.0, 200000))
+    drawn, traced = (
+        found(scene.delta, scene.camera, rasterizing, size=ROOM_SIZE) for rasterizing in (True, False))
+    assert (drawn["hit"][:, 0] == traced["hit"][:, 0]).all() and (drawn["hit"][:, 0] >= 0).mean() > 0.5
+    np.testing.assert_allclose(drawn["t"], traced["t"], rtol=2e-6)
 
 
 def test_surfaces_have_no_holes():
