@@ -26,7 +26,7 @@ LONG_PATH = wp.constant(32)
 # bounce, the square of their weight rises by it, without bound where its root is less than an albedo. More makes single
 # samples wait for the longest of their paths, between mirrors and in glass: 0.97 made them a third slower.
 LONG_SURVIVAL = wp.constant(0.92)
-# The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces, which weigh 1 at most.
+# The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces.
 HARD_SURVIVAL = wp.constant(0.88)
 # The same for all paths of the first samples, which are waited for alone: so many bounces sooner, and off mirrors and
 # clear glass so many later.
@@ -34,6 +34,10 @@ EARLY_SAMPLES = wp.constant(wp.uint32(2))
 EARLY_SURVIVAL = wp.constant(0.75)
 SOONER = wp.constant(2)
 LATER = wp.constant(4)
+# Bounces after which these end as surely whatever they weigh.
+EARLY_LONG_PATH = wp.constant(24)
+# Weight from which on others are ended harder no more: those that are left would weigh ever more.
+HEAVY_PATH = wp.constant(2.0)
 
 @wp.struct
 class Options:
@@ -275,14 +279,14 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: flo
     largest = max_component(throughput)
     limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
     if options.ended_harder > 0:
-        # What has come to weigh more than it began with ends by that less often: else the squares of weights would grow
-        # without bound wherever the root of the chance is less than an albedo.
-        grown = wp.where(pdf > 0.0, wp.max(largest, 1.0), 1.0)
+        # Heavy paths end by so much less often: else the squares of weights would grow without bound wherever the root
+        # of the chance is less than an albedo.
+        grown = wp.where(pdf > 0.0, wp.max(largest / HEAVY_PATH, 1.0), 1.0)
         if pdf > 0.0 and bounce >= options.ended_harder:
             limit = wp.min(HARD_SURVIVAL * grown, limit)
         early = options.ended_harder + wp.where(pdf > 0.0, -SOONER, LATER)
         if index < EARLY_SAMPLES and bounce >= early:
-            limit = wp.min(EARLY_SURVIVAL * grown, limit)
+            limit = wp.min(EARLY_SURVIVAL * wp.where(bounce < EARLY_LONG_PATH, grown, 1.0), limit)
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(largest), 0.05, limit)
 
