@@ -24,8 +24,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 SETTLED_FRAMES = wp.constant(16.0)
 SETTLED_COUNT = wp.constant(4.0)
 
-# Frames of which an update that may wait has one at least while things move, as only rays find what that changes.
-CHANGING_INTERVAL = wp.constant(2)
+# Intervals up to this many frames are of pictures that are coarser, where what is new has an update in each frame.
+SHORT_INTERVAL = wp.constant(2)
 
 # Distance [px], across and down, from a tile's seed within which probes of other tiles do for it.
 SERVED_REACH = wp.constant(12.0)
@@ -45,15 +45,8 @@ def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
 
 @wp.func
 def turn_interval(grid: ProbeGrid, view: View) -> int:
-    """Return of how many frames an update that may wait has one; 1: none waits, as at rest and while light spreads.
-
-    While only the camera moves it brings little new.
-    """
-    if view.rest > 0 or settling_frames(view) < SETTLED_FRAMES:
-        return 1
-    if float(view.moved_age) < SETTLED_FRAMES:
-        return wp.min(grid.interval, CHANGING_INTERVAL)
-    return grid.interval
+    """Return of how many frames an update that may wait has one; 1: none waits, as at rest and while light spreads."""
+    return wp.where(view.rest > 0 or settling_frames(view) < SETTLED_FRAMES, 1, grid.interval)
 
 
 @wp.func
@@ -113,15 +106,15 @@ def find_missing(
 def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
     """Return whether a spawn tile that misses no probe leaves its update to a later frame.
 
-    All but one of `turn_interval` neighbours may, in turns. With short intervals, as where more than the camera moves,
-    only if none of the tile's probes is new or has met a change of light.
+    All but one of `turn_interval` neighbours may, in turns: with long intervals all of these while only the camera
+    moves, which brings little new; else those of whose probes none is new or has met a change of light.
     """
     interval = turn_interval(grid, view)
     row = update // grid.update_columns
     turn = update % grid.update_columns + row * wp.max(interval // 2, 1) + view.frame
     if turn % interval == 0:
         return False
-    if interval > CHANGING_INTERVAL:
+    if interval > SHORT_INTERVAL and float(view.moved_age) >= SETTLED_FRAMES:
         return True
     least = SETTLED_COUNT
     i = int(0)
