@@ -134,9 +134,9 @@ class ProbeSettings:
         True, "Send some of the rays into the reflection, so that the cache has cells where reflections look: slightly "
         "more noise in diffuse light")
     update_interval: int = setting(
-        4, "A probe that may wait is updated in one of so many frames while the camera moves, and at least in every "
-        "other where more moves and in pictures of up to a million pixels: 4 takes a ninth of the time off 1080p "
-        "frames, for up to 1.5 % more error", low=1, high=4, unit="frames")
+        4, "A probe that may wait is updated in one of so many frames while something moves, and at least in every "
+        "other in pictures of up to a million pixels: 4 takes a ninth of the time off 1080p frames, for up to 1.5 % "
+        "more error", low=1, high=4, unit="frames")
     half_rate: bool = setting(True, "While only the camera moves, take light from the probes for half of the pixels "
         "that know theirs, in pictures of more than a million pixels: faster, with light a frame older")
     dense_small: bool = setting(

@@ -28,16 +28,14 @@ LONG_PATH = wp.constant(32)
 LONG_SURVIVAL = wp.constant(0.92)
 # The same for paths off anything but mirrors and clear glass after Options.ended_harder bounces.
 HARD_SURVIVAL = wp.constant(0.88)
-# The same for all paths of the first samples, which are waited for alone: so many bounces sooner, and off mirrors and
-# clear glass so many later.
-EARLY_SAMPLES = wp.constant(wp.uint32(2))
-EARLY_SURVIVAL = wp.constant(0.75)
+# Weight from which on they are ended harder no more: else the squares of weights would grow without bound wherever the
+# root of the chance is less than an albedo.
+HEAVY_PATH = wp.constant(8.0)
+# The same for all paths of pictures of few samples, which wait for these alone, whatever paths weigh: so many bounces
+# sooner, and off mirrors and clear glass so many later.
+FEW_SURVIVAL = wp.constant(0.75)
 SOONER = wp.constant(2)
 LATER = wp.constant(4)
-# Bounces after which these end as surely whatever they weigh.
-EARLY_LONG_PATH = wp.constant(24)
-# Weight from which on others are ended harder no more: those that are left would weigh ever more.
-HEAVY_PATH = wp.constant(2.0)
 
 @wp.struct
 class Options:
@@ -85,6 +83,8 @@ class Paths:
     """Of the pixel"""
     index: wp.array[wp.uint32]
     """Sample index"""
+    few: wp.array[int]
+    """[1] 1: the picture is going to have few samples, whose longest paths are waited for; without it they are many"""
     origin: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     t: wp.array[float]
@@ -262,7 +262,7 @@ def hit_point(scene: Scene, paths: Paths, path: int, bounce: int) -> ShadingPoin
 
 
 @wp.func
-def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: float, index: wp.uint32) -> float:
+def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: float, few: int) -> float:
     """Return the probability with which Russian roulette lets a path be shaded at its hit.
 
     Long paths end even where nothing absorbs: a scene may hold light between surfaces of albedo 1 for ever.
@@ -272,21 +272,17 @@ def survival_chance(options: Options, bounce: int, throughput: wp.vec3, pdf: flo
         bounce: Rays of the path but for the camera's.
         throughput: Of the path.
         pdf: Density of its last ray [1/sr]; 0 for a mirror's.
-        index: Number of the sample.
+        few: As Paths.few.
     """
     if bounce <= options.roulette_start:
         return 1.0
     largest = max_component(throughput)
     limit = wp.where(bounce < LONG_PATH, 1.0, LONG_SURVIVAL)
     if options.ended_harder > 0:
-        # Heavy paths end by so much less often: else the squares of weights would grow without bound wherever the root
-        # of the chance is less than an albedo.
-        grown = wp.where(pdf > 0.0, wp.max(largest / HEAVY_PATH, 1.0), 1.0)
         if pdf > 0.0 and bounce >= options.ended_harder:
-            limit = wp.min(HARD_SURVIVAL * grown, limit)
-        early = options.ended_harder + wp.where(pdf > 0.0, -SOONER, LATER)
-        if index < EARLY_SAMPLES and bounce >= early:
-            limit = wp.min(EARLY_SURVIVAL * wp.where(bounce < EARLY_LONG_PATH, grown, 1.0), limit)
+            limit = wp.min(HARD_SURVIVAL * wp.max(largest / HEAVY_PATH, 1.0), limit)
+        if few == 1 and bounce >= options.ended_harder + wp.where(pdf > 0.0, -SOONER, LATER):
+            limit = FEW_SURVIVAL
     # The root, as in Cycles: ending in proportion to the throughput itself would save rays at the price of noise.
     return wp.clamp(wp.sqrt(largest), 0.05, limit)
 
@@ -303,7 +299,10 @@ def survives(options: Options, paths: Paths, path: int, bounce: int) -> bool:
 
     As in Cycles, what a hit emits and the world are added before: a ray that was traced shows what it meets.
     """
-    chance = survival_chance(options, bounce, paths.throughput[path], paths.pdf[path], paths.index[path])
+    few = int(0)
+    if options.ended_harder > 0 and paths.few.shape[0] > 0:
+        few = paths.few[0]
+    chance = survival_chance(options, bounce, paths.throughput[path], paths.pdf[path], few)
     if bounce == BOUNCES and is_ending(options.known, paths.index[path]):
         # What is known may end it here.
         chance = 1.0

@@ -103,28 +103,37 @@ def find_missing(
 
 
 @wp.func
-def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
-    """Return whether a spawn tile that misses no probe leaves its update to a later frame.
+def all_take_turns(view: View, interval: int) -> bool:
+    """Return whether updates wait whatever they know: with long intervals, while only the camera moves."""
+    return interval > SHORT_INTERVAL and float(view.moved_age) >= SETTLED_FRAMES
 
-    All but one of `turn_interval` neighbours may, in turns: with long intervals all of these while only the camera
-    moves, which brings little new; else those of whose probes none is new or has met a change of light.
-    """
-    interval = turn_interval(grid, view)
-    row = update // grid.update_columns
-    turn = update % grid.update_columns + row * wp.max(interval // 2, 1) + view.frame
-    if turn % interval == 0:
-        return False
-    if interval > SHORT_INTERVAL and float(view.moved_age) >= SETTLED_FRAMES:
-        return True
+
+@wp.func
+def is_calm(grid: ProbeGrid, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
+    """Return whether none of a spawn tile's probes is new or has met a change of light."""
     least = SETTLED_COUNT
     i = int(0)
     while i < grid.side * grid.side:
         tile = turn_tile(grid, update, i)
         if tile >= 0:
-            if tiles.seed[tile] >= 0 and tiles.probe[tile] >= 0:
-                least = wp.min(least, pool.count[tiles.probe[tile]])
+            slot = claim_slot(tiles.claim[tile])
+            if tiles.seed[tile] >= 0 and slot >= 0:
+                least = wp.min(least, pool.count[slot])
         i = i + 1
     return least >= SETTLED_COUNT
+
+
+@wp.func
+def may_wait(grid: ProbeGrid, view: View, tiles: ProbeTiles, pool: ProbePool, update: int) -> bool:
+    """Return whether a spawn tile that misses no probe leaves its update to a later frame: in turns all but one may."""
+    interval = turn_interval(grid, view)
+    row = update // grid.update_columns
+    turn = update % grid.update_columns + row * wp.max(interval // 2, 1) + view.frame
+    if turn % interval == 0:
+        return False
+    if all_take_turns(view, interval):
+        return True
+    return is_calm(grid, tiles, pool, update)
 
 
 @wp.kernel
@@ -134,12 +143,19 @@ def choose_tiles(
     grid: ProbeGrid,
     views: wp.array[View],
     tiles: ProbeTiles,
+    pool: ProbePool,
     # Out:
     updates_out: ProbeUpdates,
 ):
     """Choose the tile of each spawn tile that needs an update most: one that misses a probe, else by turns."""
     update = first + wp.tid()
-    turn = views[0].frame // turn_interval(grid, views[0])
+    view = views[0]
+    interval = turn_interval(grid, view)
+    turn = view.frame // interval
+    if interval > SHORT_INTERVAL and not all_take_turns(view, interval):
+        if not is_calm(grid, tiles, pool, update):
+            # It waits for no frame, and goes on to the next tile in each.
+            turn = view.frame
     missing = int(-1)
     covered = int(-1)
     i = int(0)

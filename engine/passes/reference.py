@@ -233,7 +233,7 @@ class ReferencePass:
                 [band for band in self.bands if band.samples == low],
                 lambda band, most=most: self._trace_band(
                     band, max(1, min(self.capacity // band.count, most)), scene, frame, options, filter_table, buffers,
-                    should_stop))
+                    target, should_stop))
 
     def resolve(self, buffers: FilmBuffers, transparent: bool, exposure: float) -> wp.array:
         """Make the picture of a film: vec4 [pixels]."""
@@ -246,12 +246,13 @@ class ReferencePass:
 
     def _trace_band(
         self, band: Band, count: int, scene: Scene, frame: np.ndarray, options: Options,
-        filter_table: wp.array, buffers: FilmBuffers, should_stop: Callable[[], bool],
+        filter_table: wp.array, buffers: FilmBuffers, target: int, should_stop: Callable[[], bool],
     ) -> None:
-        """Trace `count` samples of a band and add them to the film; an interrupted batch leaves no trace."""
+        """Trace `count` of `target` samples of a band into the film; an interrupted batch leaves no trace."""
         if should_stop():
             return
         slot = self.take_slot()
+        slot.expect(target)
         try:
             guides = buffers.guides if buffers.guides is not None and buffers.guides.wants(band.samples) else None
             if guides is not None:

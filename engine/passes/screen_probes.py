@@ -171,7 +171,7 @@ class ScreenProbePass:
             graph.launch(spawn.claim_other_surfaces, grid.slots, [views, pool], [tiles], banded=False)
             graph.launch(spawn.mark_used, grid.slots, [views, tiles], [pool])
             graph.launch(probe_turns.find_missing, self.tile_count, [grid, views, gbuffer, pool], [tiles])
-            graph.launch(probe_turns.choose_tiles, self.update_count, [grid, views, tiles], [updates])
+            graph.launch(probe_turns.choose_tiles, self.update_count, [grid, views, tiles, pool], [updates])
             graph.launch(probe_turns.mark_empty, self.tile_count, [grid, updates], [tiles])
             graph.call(lambda: wp.utils.array_scan(updates.free, updates.rank, inclusive=True))
             graph.call(lambda: wp.utils.array_scan(tiles.empty, tiles.rank, inclusive=True))

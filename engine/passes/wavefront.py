@@ -40,6 +40,9 @@ HIT_LISTS = "plain_hits", "full_hits"
 LATE_LANE = 2
 """Lane of late steps"""
 
+FEW_SAMPLES = 2
+"""Samples that are few: such a picture waits for their longest paths alone, which end sooner (Paths.few)"""
+
 PROCESSOR_THREADS = 1
 """Of a launch on the processor: each would read the array descriptors of the scene anew"""
 
@@ -106,6 +109,7 @@ def make_paths(count: int, passes: bool, device: str) -> Paths:
     for name in ("surface_normal", "surface_position", "surface_uv"):
         setattr(paths, name, wp.zeros(extra, dtype=wp.vec4, device=device))
     paths.clear_way = wp.zeros(1, dtype=wp.vec4, device=device)
+    paths.few = wp.zeros(1, dtype=int, device=device)
     for name in ("surface_emission", "environment"):
         setattr(paths, name, wp.zeros(extra, dtype=wp.vec3, device=device))
     add_guides(paths, 0, device)
@@ -139,6 +143,7 @@ class Wavefront:
         """Surfaces that the paths have met before this round's"""
         self.late_rounds = wp.zeros(1, dtype=int, device=device)
         """The same of late steps"""
+        self._few = False
         self._rays = wp.zeros(1, dtype=wp.int64, device=device)
         self._all = make_queue(capacity, device)
         self._counts = wp.zeros(int(path_lists.LIST_COUNT), dtype=int, device=device)
@@ -151,6 +156,13 @@ class Wavefront:
     def rays(self) -> int:
         """Return how many rays the loops have begun with, shadow rays not counted. Waits for the device."""
         return int(self._rays.numpy()[0])
+
+    def expect(self, samples: int) -> None:
+        """Take in how many samples the picture is going to have, as far as is known."""
+        few = samples <= FEW_SAMPLES
+        if few != self._few:
+            self._few = few
+            self.paths.few.fill_(int(few))
 
     def forget_rays(self) -> None:
         """Count rays anew."""

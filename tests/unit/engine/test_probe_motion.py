@@ -121,9 +121,24 @@ def test_updates_that_may_wait_take_turns(interval, least, most):
     np.testing.assert_allclose(light, 1.0, rtol=0.01)
 
 
-def test_updates_wait_for_less_where_more_than_the_camera_moves():
-    """Update every other probe at least while something else moves, as only rays find what it changes."""
-    assert updates_in_flight(4, moving=True)[0].mean() >= 0.5
+def test_updates_wait_for_nothing_where_light_changes():
+    """While something moves, let probes that meet no change wait, and none from the update on that meets one.
+
+    All tiles of four have the new light four frames after the last of their spawn tiles has met it.
+    """
+    b = large_floor()
+    for _ in range(80):
+        b.frame(moved=True)
+    shares = []
+    for i in range(40):
+        if i == 8:
+            b.lighting.sky = 2.0
+            b.record()
+        b.frame(moved=True)
+        shares.append(b.probes.stats()["updated"] / b.probes.update_count)
+        if i == 15:
+            assert b.irradiance()[0].min() > 1.8
+    assert np.mean(shares[:8]) == 0.25 and np.mean(shares[11:20]) == 1.0 and np.mean(shares[-8:]) == 0.25
 
 
 def test_no_tile_stays_without_a_probe():
