@@ -120,7 +120,8 @@ class DeviceScene:
         self.times = {}
         with device_errors("the scene"):
             self._apply(delta, settings, tell)
-            self.media = scene_media(self, bool(delta.images) or delta.full)
+            if self.media is not None or not self.changes.followed:
+                self.media = scene_media(self, bool(delta.images) or delta.full)
 
     def _apply(self, delta: SceneDelta, settings: PerformanceSettings, tell: Progress) -> None:
         if self._follow(delta):

@@ -71,10 +71,6 @@ class Texels:
         self.levels = self.levels[count:]
         self.levels_max = max(self.levels_max - count, 1) if self.levels_max else 0
 
-    def flat(self) -> np.ndarray:
-        """Return all levels one after another: [count, 4]."""
-        return np.concatenate([level.reshape(-1, 4) for level in self.levels])
-
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
     """Decode the sRGB transfer function (IEC 61966-2-1); values below 0 become 0."""
