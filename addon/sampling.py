@@ -17,6 +17,9 @@ __all__ = ["Sampling"]
 STEP_SECONDS = 0.2
 """Aimed-at length of one Session.step; a step ends within 0.1 s of a cancellation anyway."""
 STEP_SAMPLES_MAX = 64
+FIRST_STEP = 4
+"""Samples of the first step on a GPU: those of a step of one or two have their longest paths ended sooner, for more
+noise (FEW_SAMPLES in engine/passes/wavefront.py)"""
 TIMED_FRAME = 8
 """Real-time frame whose sections are measured: the first ones record their launches and have no history yet"""
 RESULT_SECONDS = 0.5
@@ -46,7 +49,7 @@ class Sampling:
         self.total, self.limit = settings.sampling.samples, settings.sampling.time_limit
         self._show = show
         self._timed_at = timed_frame(settings) if timed else -1
-        self._count = 1
+        self._count = 1 if session.device == "cpu" or self.limit > 0.0 else FIRST_STEP
         self._start = self._shown = time.perf_counter()
 
     @property

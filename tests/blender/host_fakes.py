@@ -27,7 +27,7 @@ class FakeSession:
     step_seconds = 0.0
     fail_in = ""
     opened: list[FakeSession] = []
-    device_name = "fake"
+    device, device_name = "cpu", "fake"
     timed = False
     skipped: dict = {}
     traced_samples = 0

@@ -55,6 +55,19 @@ assert all(session.closed for session in FakeSession.opened)
     assert result.stderr.count("Traceback") == 6, result.stderr
 
 
+def test_a_gpu_begins_with_more_samples_than_a_processor(run_host):
+    """Begin with one sample on a processor, which stops soon; on a GPU with more than those that end paths sooner."""
+    run_host("""
+scene.burnish.sampling.integrator = "REFERENCE"
+for device, samples, limit, first in (
+        ("cpu", 20, 0.0, 1), ("cuda:0", 20, 0.0, 4), ("cuda:0", 2, 0.0, 2), ("cuda:0", 20, 9.0, 1)):
+    FakeSession.device = device
+    scene.burnish.sampling.samples, scene.burnish.sampling.time_limit = samples, limit
+    bpy.ops.render.render()
+    assert FakeSession.opened[-1].steps[0][0] == first, (device, samples, limit, FakeSession.opened[-1].steps)
+""")
+
+
 def test_failure_ends_an_animation_at_its_first_frame(run_host, tmp_path):
     """Stop an animation that fails, without a single file."""
     run_host(f"""
