@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 
 from ..kernels.hash_grid import SCREEN_LINES
+from ..kernels.probe_turns import SHORT_INTERVAL
 from ..kernels.probe_types import TILE
 from .settings import ReflectionResolution, RenderSettings
 
@@ -21,7 +22,7 @@ HALF_RATE_PIXELS = 1_000_000
 """Frames of no more pixels have a shadow ray for each in every frame, on any device, and their probes wait for
 SMALL_INTERVAL frames at most: they are coarser, and it costs little"""
 
-SMALL_INTERVAL = 2
+SMALL_INTERVAL = int(SHORT_INTERVAL)
 """ProbeSettings.update_interval at most in pictures of up to HALF_RATE_PIXELS: twice as much has 1 to 4 % more FLIP"""
 
 SMALL_PIXELS = 1920 * 1080 // 4

@@ -31,8 +31,8 @@ HARD_SURVIVAL = wp.constant(0.88)
 # Weight from which on they are ended harder no more: else the squares of weights would grow without bound wherever the
 # root of the chance is less than an albedo.
 HEAVY_PATH = wp.constant(8.0)
-# The same for all paths of pictures of few samples, which wait for these alone, whatever paths weigh: so many bounces
-# sooner, and off mirrors and clear glass so many later.
+# Largest chance with which any path of a picture of few samples goes on, whatever it weighs, as its longest paths alone
+# are waited for: from so many bounces sooner on, off mirrors and clear glass so many later.
 FEW_SURVIVAL = wp.constant(0.75)
 SOONER = wp.constant(2)
 LATER = wp.constant(4)

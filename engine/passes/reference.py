@@ -252,8 +252,8 @@ class ReferencePass:
         if should_stop():
             return
         slot = self.take_slot()
-        slot.expect(target)
         try:
+            slot.expect(target)
             guides = buffers.guides if buffers.guides is not None and buffers.guides.wants(band.samples) else None
             if guides is not None:
                 guides.begin(slot, band.count * count)
