@@ -53,7 +53,8 @@ class FramePasses:
         self.direct = DirectLightPass(device, settings.direct_light, settings.reflections)
         self.reflections = ReflectionPass(device, settings.reflections, int(LOBE_REFLECTION))
         self.refraction = ReflectionPass(device, settings.reflections, int(LOBE_TRANSMISSION))
-        self.gather = ReflectionPass(device, gather_settings(settings), int(LOBE_DIFFUSE))
+        self.gather = ReflectionPass(
+            device, gather_settings(settings), int(LOBE_DIFFUSE), highlights=settings.cache.highlights)
         self.hair = HairPass(device, settings.reflections)
         self.rest_gather = RestGatherPass(device)
         self.reflection_denoise = ReflectionDenoisePass(device, settings.denoiser, int(LOBE_REFLECTION))

@@ -225,6 +225,7 @@ class Pipeline(FramePasses):
             "programs": scene.has_hit_programs, "fog": frame.fog,
             "filtered": scene.structures.has_filtered or passes_glass(kernels_scene),
             "polished": scene.material_table.reflectors.polished, "all_lean": lean.flat,
+            "glossy": scene.material_table.reflectors.glossy,
             "lean_layers": lean.transparency, "world": scene.world_texels}
         self.cache.record_pending(
             graph, kernels_scene, frame.views, frame.phase, self.probes.rays_a_frame, after=PREPARATION, **cells)

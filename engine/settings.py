@@ -165,6 +165,9 @@ class CacheSettings:
     minimum_cell: float = setting(
         0.0, "Smallest cell (0: 1/500 of the scene's diagonal, at most 0.1 m): keeps views from near by from filling "
         "the cache", low=0.0, high=1e6, soft_high=1.0, unit="m")
+    refine: bool = setting(
+        True, "Halve the cells' width in pictures of up to a million pixels once rays have met them for some frames: "
+        "finer indirect light, from the same rays and more cells")
     capacity: int = setting(
         20, "Room for two to the power of this many cells: one more doubles the memory; too few make indirect light "
         "noisy, never dark", low=10, high=26)
@@ -190,6 +193,9 @@ class CacheSettings:
     follow_mirrors: bool = setting(
         True, "Let light come over mirrors and polished metal as they reflect it, for some time where there are any. "
         "Off: they throw it back on all sides until path tracing takes over")
+    highlights: bool = setting(
+        True, "Let light of lamps, suns and skies come over glossy surfaces as they reflect it, for little time. Off: "
+        "they throw it back on all sides, and what they shine at is dark")
     ends_paths: bool = setting(
         True, "Let path-traced samples end in the cache after two bounces: less noise in the same time. From the 64th "
         "on ever fewer do, so that the limit stays path tracing's. None do where bounces are limited to fewer than 24")

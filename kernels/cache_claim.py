@@ -63,7 +63,7 @@ def claim_vertices(
         return
     view = views[0]
     place = hit_place(grid_out, paths, vertices, slot)
-    level = cell_level(grid_out, view.camera, place.position, cell_seed(slot, view.frame))
+    level = cell_level(grid_out, view, place.position, cell_seed(slot, view.frame))
     claim_key(grid_out, cell_key(grid_out, level, place, paths.direction[slot]))
 
 

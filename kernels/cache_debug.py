@@ -54,7 +54,7 @@ def draw_cache(
     if has_surface(s):
         direction = -view_direction(view, s)
         place = cell_place(grid.homes, gbuffer.hit[pixel][0], s.position, s.geometric_normal)
-        level = cell_level(grid, view.camera, s.position, wp.uint32(0))
+        level = cell_level(grid, view, s.position, wp.uint32(0))
         if what == CACHE_LEVELS:
             color = hash_color(level + LEVEL_LIMIT)
         if what == CACHE_CELLS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_highlights import highlight_ratio, is_glossy, shows_highlights
 from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, UNWATCHED, Vertices, is_near, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
@@ -30,19 +31,19 @@ STREAM_WATCH = wp.constant(wp.uint32(0x57415443))
 
 
 @wp.func
-def is_unwatched(grid: HashGrid, view: View, vertices: Vertices, slot: int, known_from: float) -> bool:
-    """Return whether a hit can do without a light: its cell knows enough, and the hit is not told its own light.
+def watched_share(grid: HashGrid, view: View, vertices: Vertices, slot: int, known_from: float) -> float:
+    """Return the share of such hits that look for a light: few where the cell knows enough, else all.
 
-    Hits nearer than a cell take their own (cache_shade.cached_light). Says nothing of the light itself.
+    Hits nearer than a cell take their own light (cache_shade.cached_light), very glossy ones show it.
     """
     cell = vertices.cell[slot]
     if cell == NO_CELL or view.rest > 0:
-        return False
+        return 1.0
     if grid.direct[cell][3] < known_from:
-        return False
-    if hashed_unit(hash_combine(slot_seed(slot), STREAM_WATCH), wp.uint32(view.frame)) < WATCHED_SHARE:
-        return False
-    return not is_near(grid, view, vertices, slot)
+        return 1.0
+    if is_glossy(vertices, slot) or is_near(grid, view, vertices, slot):
+        return 1.0
+    return WATCHED_SHARE
 
 
 @wp.func
@@ -67,49 +68,59 @@ def choose_cache_lights(
     views: wp.array[View],
     scene: Scene,
     world: wp.array[wp.vec3],
-    vertices: Vertices,
     grid: HashGrid,
     known_from: float,
     # Out:
     paths_out: Paths,
+    vertices_out: Vertices,
 ):
     """Sample one light at every hit and set up its shadow ray, which carries irradiance / pi.
 
     Translucent surfaces get the light of both sides by their shares, as the cell's light is read for both at once.
     With grid.weighed bounce rays bring their share of the emission of triangles, see cache_materials.py. Cells that
-    have `known_from` samples get a light for few of their hits.
+    have `known_from` samples get a light for few of their hits. Vertices.highlight tells what a hit's lobe makes of it.
     """
     slot = first + wp.tid()
     paths_out.shadow_distance[slot] = 0.0
     paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if not has_hit(paths_out, slot) or scene.lights.class_count == 0:
         return
-    reflectance = vertices.reflectance[slot]
+    reflectance = vertices_out.reflectance[slot]
     if not wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
         # Black: whatever arrives is lost. The cell is not told anything either.
         return
     view = load_view(views)
-    if is_unwatched(grid, view, vertices, slot, known_from):
+    watched = watched_share(grid, view, vertices_out, slot, known_from)
+    if watched < hashed_unit(hash_combine(slot_seed(slot), STREAM_WATCH), wp.uint32(view.frame)):
         paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, UNWATCHED)
         return
     point = surface_point(scene, load_hit(paths_out, slot), paths_out.direction[slot])
-    normal = unpack_normal(vertices.normal[slot])
+    normal = unpack_normal(vertices_out.normal[slot])
     seed = slot_seed(slot)
     index = wp.uint32(view.frame)
     s = sample_light(
         scene, point.position, cell_side(normal, reflectance[3], grid.weighed),
         sample_pair(seed, index, DIMENSION_LIGHT), sample_number(seed, index, DIMENSION_PLACE))
-    if s.kind < 0 or (kinds_lit(scene, s.visibility, point.instance) & VISIBLE_DIFFUSE) == 0:
+    if s.kind < 0:
+        return
+    kinds = kinds_lit(scene, s.visibility, point.instance)
+    if (kinds & VISIBLE_DIFFUSE) == 0:
         return
     cosine = wp.dot(normal, s.wi)
     share = wp.where(cosine > 0.0, 1.0 - reflectance[3], reflectance[3])
     density = wp.abs(cosine) * share * INV_PI
-    light = s.radiance * (density / s.pdf)
     if grid.weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
-        light = light * power_heuristic(s.pdf, density)
+        density = density * power_heuristic(s.pdf, density)
+    light = s.radiance * (density / s.pdf)
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, s, light, paths_out, slot)
         settle_world(scene, world, paths_out, slot)
         if paths_out.shadow_distance[slot] != 0.0:
             # For count_rays.
             paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+            if shows_highlights(vertices_out):
+                word = vertices_out.lobe[slot]
+                if word != wp.uint64(0):
+                    ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, density)
+                    # Of all that are not watched, too.
+                    vertices_out.highlight[slot] = ratio / watched

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_highlights import store_lobe
 from .cache_mirrors import (
     Mirrors,
     goes_on,
@@ -138,6 +139,7 @@ def store_surface(
     through = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
     reflectance = sane(wp.cw_mul(total, weight))
     vertices.reflectance[slot] = wp.vec4(reflectance[0], reflectance[1], reflectance[2], through)
+    store_lobe(vertices, albedo, weight, total, through, slot)
     emission = sane(wp.cw_mul(emitted, weight) * share)
     length = wp.min(point.ray_length + way_before(mirrors, slot), MISS_DISTANCE)
     vertices.emission[slot] = wp.vec4(emission[0], emission[1], emission[2], length)

@@ -61,6 +61,10 @@ class Vertices:
     """All light reflected or let through, per channel; w = share of it that comes from behind the surface"""
     emission: wp.array[wp.vec4]
     """Radiance that the ray brings besides what the cache knows; w = distance, IDLE where there is no ray"""
+    lobe: wp.array[wp.uint64]
+    """pack_lobe of the glossy lobe, 0 for none; without any slot where no lobe counts (cache_highlights.py)"""
+    highlight: wp.array[float]
+    """Of lights in that lobe: what it makes of the hit's light sample, over its albedo, by what cells take of it"""
     cell: wp.array[int]
     """NO_CELL for misses and full buckets"""
     source: wp.array[int]
@@ -101,7 +105,7 @@ def hit_place(grid: HashGrid, paths: Paths, vertices: Vertices, slot: int) -> Ce
 @wp.func
 def is_near(grid: HashGrid, view: View, vertices: Vertices, slot: int) -> bool:
     """Return whether a hit is nearer than a cell is wide: too near for the cell's direct light (cone test)."""
-    level = cell_level(grid, view.camera, rgb(vertices.position[slot]), cell_seed(slot, view.frame))
+    level = cell_level(grid, view, rgb(vertices.position[slot]), cell_seed(slot, view.frame))
     return vertices.emission[slot][3] < cell_size(level)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_highlights import highlight_light
 from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, hit_place, is_near
 from .geometry_math import is_finite3, max_component
 from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, is_lit, known_indirect
@@ -84,6 +85,7 @@ def gather_bounces(
                 light = grid.indirect[source]
             carried = bounced_light(view, vertices_out, slot, rgb(light))
         arrived = rgb(emission) + wp.cw_mul(reflectance, direct)
+        arrived = arrived + highlight_light(vertices_out, slot, rgb(paths.radiance[slot]), direct)
     if not (is_finite3(arrived) and is_finite3(carried)):
         arrived = wp.vec3(0.0, 0.0, 0.0)
         carried = wp.vec3(0.0, 0.0, 0.0)
@@ -95,7 +97,7 @@ def gather_bounces(
 def cached_light(
     grid: HashGrid, view: View, paths: Paths, vertices: Vertices, slot: int, direction: wp.vec3, cone_test: int,
 ) -> wp.vec3:
-    """Return irradiance / pi at a probe ray's hit, filtered by the cache.
+    """Return the light that a probe ray's hit reflects, filtered by the cache but for highlights.
 
     It is that of the hit's own cell, not jittered as for reflections: a probe's rays hide the cells' borders, and light
     leaks less far. Hits nearer than a cell take their own direct light: a cell is too coarse to tell on which side of a
@@ -109,7 +111,9 @@ def cached_light(
     direct = rgb(paths.radiance[slot])
     if cell != NO_CELL and not (cone_test == 1 and is_near(grid, view, vertices, slot)):
         direct = rgb(grid.direct[cell])
-    return direct + indirect_light(grid, view, cell, place, direction, seed)
+    arriving = direct + indirect_light(grid, view, cell, place, direction, seed)
+    return wp.cw_mul(rgb(vertices.reflectance[slot]), arriving) + highlight_light(
+        vertices, slot, rgb(paths.radiance[slot]), direct)
 
 
 @wp.kernel
@@ -134,8 +138,7 @@ def resolve_rays(
     radiance = rgb(emission)
     reflectance = rgb(vertices.reflectance[slot])
     if wp.max(reflectance[0], wp.max(reflectance[1], reflectance[2])) > 0.0:
-        light = cached_light(grid, view, paths, vertices, slot, paths.direction[slot], cone_test)
-        radiance = radiance + wp.cw_mul(reflectance, light)
+        radiance = radiance + cached_light(grid, view, paths, vertices, slot, paths.direction[slot], cone_test)
     radiance = radiance * view.exposure
     if not is_finite3(radiance):
         radiance = wp.vec3(0.0, 0.0, 0.0)

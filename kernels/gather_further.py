@@ -62,7 +62,7 @@ def follow_near_hits(
     view = views[0]
     p = vertices_out.position[slot]
     t = paths_out.t[slot]
-    size = cell_size(cell_level(grid, view.camera, rgb(p), cell_seed(slot, view.frame)))
+    size = cell_size(cell_level(grid, view, rgb(p), cell_seed(slot, view.frame)))
     rays_out.found[slot] = FOUND_HIT
     if t > NEAR_CELLS * size:
         return

@@ -15,7 +15,6 @@ import warp as wp
 from .geometry_math import orthonormal_tangent
 from .homes import MOVER_BIT, CellPlace, Homes
 from .sampling import hash32, hash_combine, to_unit
-from .types import FrameData
 from .view import View, eye_position, pixel_footprint
 
 BUCKET = wp.constant(16)
@@ -49,6 +48,11 @@ FACE_BIAS_Z = wp.constant(0.99)
 # stands in for the coarse one: where something small has come to, or is seen in a mirror alone, nothing else is known.
 COARSE_LEVELS = wp.constant(2)
 
+# Frames between which cells shrink to HashGrid.finest of their width. Few rays have met the first ones, of which each
+# needs some; until frame REBALANCE_FRAMES of cache_cells.py all new ones send bounce rays on.
+REFINE_START = wp.constant(16.0)
+REFINE_END = wp.constant(40.0)
+
 # Streams of random numbers of a look-up.
 STREAM_LEVEL = wp.constant(wp.uint32(0x4C45564C))
 STREAM_JITTER = wp.constant(wp.uint32(0x4A495454))
@@ -81,6 +85,8 @@ class HashGrid:
     """Number of buckets (a power of two) - 1"""
     pixels: float
     """Size of a cell on a screen of SCREEN_LINES lines [px]"""
+    finest: float
+    """Factor on `pixels` once rays have met the cells for some frames, 0.5 to 1"""
     minimum: float
     """Smallest cell [m]"""
     level_blend: int
@@ -110,16 +116,17 @@ def normal_face(normal: wp.vec3) -> int:
 
 
 @wp.func
-def wanted_size(grid: HashGrid, frame: FrameData, position: wp.vec3) -> float:
+def wanted_size(grid: HashGrid, view: View, position: wp.vec3) -> float:
     """Return the size [m] that cells should have at a point: `pixels` on the screen, at least `minimum`."""
-    distance = wp.length(position - eye_position(frame))
+    distance = wp.length(position - eye_position(view.camera))
+    filled = wp.clamp((float(view.frame) - REFINE_START) / (REFINE_END - REFINE_START), 0.0, 1.0)
     # Of the full frame, so that a cropped region has the same cells.
-    pixels = grid.pixels * wp.sqrt(float(frame.height) / SCREEN_LINES)
-    return wp.max(wp.max(pixels * pixel_footprint(frame, distance), grid.minimum), 1.0e-15)
+    pixels = grid.pixels * wp.lerp(1.0, grid.finest, filled) * wp.sqrt(float(view.camera.height) / SCREEN_LINES)
+    return wp.max(wp.max(pixels * pixel_footprint(view.camera, distance), grid.minimum), 1.0e-15)
 
 
 @wp.func
-def cell_level(grid: HashGrid, frame: FrameData, position: wp.vec3, seed: wp.uint32) -> int:
+def cell_level(grid: HashGrid, view: View, position: wp.vec3, seed: wp.uint32) -> int:
     """Return the level of detail of a point's cell for one look-up.
 
     The logarithm of the size is rounded up with the probability of its fraction, so levels change over gradually.
@@ -127,7 +134,7 @@ def cell_level(grid: HashGrid, frame: FrameData, position: wp.vec3, seed: wp.uin
     u = float(0.0)
     if grid.level_blend == 1:
         u = to_unit(hash_combine(seed, STREAM_LEVEL))
-    level = int(wp.floor(wp.log2(wanted_size(grid, frame, position) / BASE_SIZE) + u))
+    level = int(wp.floor(wp.log2(wanted_size(grid, view, position) / BASE_SIZE) + u))
     return wp.clamp(level, -LEVEL_LIMIT, LEVEL_LIMIT)
 
 
@@ -262,7 +269,7 @@ def jittered(place: CellPlace, size: float, seed: wp.uint32) -> CellPlace:
 @wp.func
 def insert_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> int:
     """Return the cell of a point, made if need be; NO_CELL where its bucket is full. Atomic: no bands."""
-    cell = insert_key(grid, cell_key(grid, cell_level(grid, view.camera, place.position, seed), place, direction))
+    cell = insert_key(grid, cell_key(grid, cell_level(grid, view, place.position, seed), place, direction))
     if cell != NO_CELL:
         # Cells of one launch all write the same frame.
         grid.touched[cell] = view.frame
@@ -283,7 +290,7 @@ def find_lit_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.ve
 
     Jitter in the surface's plane hides the borders of cells; NO_CELL where no cell knows anything.
     """
-    level = cell_level(grid, view.camera, place.position, seed)
+    level = cell_level(grid, view, place.position, seed)
     cell = find_key(grid, cell_key(grid, level, jittered(place, cell_size(level), seed), direction))
     step = int(0)
     while step < 3:
@@ -304,7 +311,7 @@ def find_lit_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.ve
 @wp.func
 def coarse_key(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> wp.int64:
     """Return the key of the coarse cell about a point; such cells hold indirect light alone."""
-    level = cell_level(grid, view.camera, place.position, seed) + COARSE_LEVELS
+    level = cell_level(grid, view, place.position, seed) + COARSE_LEVELS
     return cell_key(grid, level, place, direction)
 
 

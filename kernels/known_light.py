@@ -68,7 +68,7 @@ def known_light(known: KnownLight, point: ShadingPoint, direction: wp.vec3, seed
     """
     nothing = wp.vec4(0.0, 0.0, 0.0, 0.0)
     view = known.views[0]
-    level = cell_level(known.grid, view.camera, point.position, seed)
+    level = cell_level(known.grid, view, point.position, seed)
     if point.ray_length < NEAR_CELLS * cell_size(level):
         return nothing
     place = cell_place(known.grid.homes, point.instance, point.position, point.geometric_normal)

@@ -186,7 +186,7 @@ def enter_surfaces(
 @wp.func
 def knows_indirect(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3, seed: wp.uint32) -> bool:
     """Return whether the cache knows the indirect light of a place from near by."""
-    level = cell_level(grid, view.camera, place.position, seed)
+    level = cell_level(grid, view, place.position, seed)
     known = indirect_of(grid, find_key(grid, cell_key(grid, level, place, direction)))
     if known[3] < KNOWN_SAMPLES:
         known = indirect_of(grid, find_key(grid, coarse_key(grid, view, place, direction, seed)))

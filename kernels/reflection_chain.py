@@ -29,7 +29,7 @@ from .reflection_glass import (
     sample_transmission,
     trapped_albedo,
 )
-from .reflection_highlights import BEHIND_MAX, HIGHLIGHT_ALBEDO, HIGHLIGHT_DENSITY, HitLobe, highlight_lobe, pack_lobe
+from .reflection_highlights import BEHIND_MAX, HIGHLIGHT_ALBEDO, HitLobe, highlight_lobe, pack_lobe
 from .reflection_rays import (
     DIMENSION_DIRECTION,
     DIMENSION_LOBE,
@@ -200,7 +200,7 @@ def end_ray(
     share = wp.clamp(mean_component(behind) / wp.max(mean_component(total), 1.0e-20), 0.0, 1.0)
     if rays.glossy == 1:
         rays.lobe[slot] = wp.uint64(0)
-        if share < BEHIND_MAX and paths.pdf[slot] > HIGHLIGHT_DENSITY:
+        if share < BEHIND_MAX and paths.pdf[slot] > rays.least_density:
             lobe = highlight_lobe(albedo, wp.where(branch.whole == 1, wp.vec3(0.0, 0.0, 0.0), mirrored), branch.chance)
             if shared.mirrored == 1:
                 lobe = shared

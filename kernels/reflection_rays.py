@@ -90,6 +90,8 @@ class ReflectionRays:
     """Per ray: FOUND_*"""
     glossy: int
     """1: hits show highlights, and the rest is there"""
+    least_density: float
+    """Of a ray whose hit shows any [1/sr]: what others show is too blurred"""
     lobe: wp.array[wp.uint64]
     """Per ray: reflection_highlights.pack_lobe of the hit in which it ended; 0: none"""
     highlight: wp.array[float]

@@ -60,7 +60,7 @@ def lobe_width(pdf: float, t: float) -> float:
 @wp.func
 def exact_cell(grid: HashGrid, view: View, place: CellPlace, direction: wp.vec3) -> int:
     """Return the cell of a point without any chance in it, NO_CELL where it knows nothing."""
-    level = cell_level(grid, view.camera, place.position, wp.uint32(0))
+    level = cell_level(grid, view, place.position, wp.uint32(0))
     cell = find_key(grid, cell_key(grid, level, place, direction))
     if not is_lit(grid, cell):
         cell = NO_CELL
@@ -112,7 +112,7 @@ def steady_indirect(
         return rgb(light)
     aside = place
     if jitter == 1:
-        aside = jittered(place, cell_size(cell_level(grid, view.camera, place.position, seed) + COARSE_LEVELS), seed)
+        aside = jittered(place, cell_size(cell_level(grid, view, place.position, seed) + COARSE_LEVELS), seed)
     key = coarse_key(grid, view, aside, direction, seed)
     around = indirect_of(grid, find_key(grid, key))
     if around[3] < ENOUGH_SAMPLES:
@@ -133,7 +133,7 @@ def hit_light(
     place = hit_place(grid, paths, vertices, slot)
     direction = paths.direction[slot]
     seed = cell_seed(slot, view.frame)
-    size = cell_size(cell_level(grid, view.camera, place.position, seed))
+    size = cell_size(cell_level(grid, view, place.position, seed))
     length = vertices.emission[slot][3]
     # A lobe narrower than a cell would show it.
     wide = lobe_width(paths.pdf[slot], length) > size

@@ -63,6 +63,8 @@ VERTEX_ARRAYS = {
     "position": wp.vec4, "geometric_normal": wp.uint32, "normal": wp.uint32, "reflectance": wp.vec4,
     "emission": wp.vec4, "cell": int,
 }
+HIGHLIGHT_ARRAYS = {"lobe": wp.uint64, "highlight": float}
+"""Of hits that may show highlights (kernels/cache_highlights.py)"""
 BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried": wp.vec3, "around": int,
                  "far": int, "beyond": int}
 
@@ -106,8 +108,11 @@ def make_control(device: str) -> CacheControl:
     return control
 
 
-def make_rays(count: int, bounces: int, filtered: bool, device: str) -> tuple[Paths, Vertices]:
-    """Return arrays for `count` rays and as many bounce rays; `filtered`: some triangles need a test per hit."""
+def make_rays(count: int, bounces: int, filtered: bool, glossy: bool, device: str) -> tuple[Paths, Vertices]:
+    """Return arrays for `count` rays and `bounces` bounce rays.
+
+    `filtered`: some triangles need a test per hit; `glossy`: hits may show highlights.
+    """
     paths, vertices, total = Paths(), Vertices(), count + bounces
     groups = (
         (paths, RAY_ARRAYS, total), (paths, LAYER_ARRAYS, total if filtered else 1), (paths, UNUSED_ARRAYS, 1),
@@ -115,6 +120,8 @@ def make_rays(count: int, bounces: int, filtered: bool, device: str) -> tuple[Pa
     for owner, arrays, size in groups:
         for name, dtype in arrays.items():
             setattr(owner, name, wp.zeros(max(size, 1), dtype=dtype, device=device))
+    for name, dtype in HIGHLIGHT_ARRAYS.items():
+        setattr(vertices, name, wp.zeros(total if glossy else 0, dtype=dtype, device=device))
     vertices.cell.fill_(int(NO_CELL))
     return paths, vertices
 

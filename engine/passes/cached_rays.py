@@ -43,10 +43,12 @@ class CachedRays:
         self.mirrors: MirrorRays | None = None
         self.ways: FogWays | None = None
         """The fog along all rays"""
+        self.glossy = False
+        """Whether their hits may show highlights"""
         self.layers = False
         """Whether they pass surfaces: triangles that need a test per hit, or clear glass"""
 
-    def fit(self, count: int, size: tuple[int, int], *, layers: bool, mirrors: bool) -> None:
+    def fit(self, count: int, size: tuple[int, int], *, layers: bool, mirrors: bool, glossy: bool) -> None:
         """Allocate for `count` rays of probes.
 
         Args:
@@ -54,19 +56,21 @@ class CachedRays:
             size: Of the picture [px], on which the number of bounce rays depends.
             layers: Whether rays pass surfaces.
             mirrors: Whether they go on over mirrors.
+            glossy: Whether hits may show highlights.
         """
         share = 0.0 if self.settings.bounces == 1 else self.settings.bounce_share
         self.settled = math.ceil(share * count)
         # Room for as many as there are hits: light spreads faster with them after the start and edits.
         bounces = max(self.settled, spreading_rays(count, *size)) if share > 0.0 else 0
-        if (count, bounces, layers, mirrors) == (self.count, self.bounces, self.layers, bool(self.mirrors)):
+        made = self.count, self.bounces, self.layers, bool(self.mirrors), self.glossy
+        if (count, bounces, layers, mirrors, glossy) == made:
             return
-        self.count, self.bounces, self.layers = count, bounces, layers
+        self.count, self.bounces, self.layers, self.glossy = count, bounces, layers, glossy
         # Only where light goes on from cell to cell.
         sweeps_on = bounces > 0 and self.settings.bounces != 2
         self.further = tuple(math.ceil(each * bounces) for each in FURTHER_SHARES if sweeps_on)
         total = self.total
-        self.paths, self.vertices = make_rays(count, self.most_bounces, layers, self.device)
+        self.paths, self.vertices = make_rays(count, self.most_bounces, layers, glossy, self.device)
         self.queue = make_queue(total if layers else 1, self.device)
         self.layered = make_work_list(total if layers else 1, self.device)
         self.left, self.lit = make_work_list(total, self.device), make_work_list(total, self.device)
@@ -146,8 +150,8 @@ class CachedRays:
         with graph.section("Cache lights"):
             graph.launch(
                 cache_lights.choose_cache_lights, count,
-                [views, scene, self._world, self.vertices, self.grid,
-                 float(self.settings.sample_cap if settled else math.inf)], [self.paths], start=offset)
+                [views, scene, self._world, self.grid, float(self.settings.sample_cap if settled else math.inf)],
+                [self.paths, self.vertices], start=offset)
         with graph.section("Cache shadow rays"):
             record_shadow_rays(
                 graph, views, scene, self.paths, offset, count, self.queue, self.lit, self.layered, self.left,

@@ -25,6 +25,7 @@ from ...kernels.types import Scene
 from ..debug_views import DEBUG_VIEWS
 from ..frame_graph import FrameGraph
 from ..history import arrays_of, copy_struct
+from ..ray_budget import HALF_RATE_PIXELS, SMALLEST_PIXELS
 from ..settings import CacheSettings
 from ..work_list import WorkList
 from .cache_buffers import COUNTERS, count_rays, make_control, make_grid, threads_race
@@ -38,6 +39,9 @@ BOUNCES = "bounces"
 
 SMALLEST_CELL = 0.1
 """Metres: the published minimum, for rooms"""
+
+FINEST_CELLS = 0.5
+"""Width of cells with CacheSettings.refine once rays have met them for some frames, by that of the first"""
 
 CELLS_ACROSS = 500.0
 """Least number of smallest cells along a scene's diagonal"""
@@ -81,8 +85,10 @@ class RadianceCachePass:
         return wp.zeros(count, dtype=int, device=self.device)
 
     def resize(self, width: int, height: int) -> None:
-        """Take note of the picture's size [px], which debug views and the number of bounce rays depend on."""
+        """Take note of the picture's size [px]: debug views, bounce rays and the finest cells depend on it."""
         self.width, self.height = width, height
+        refined = self.settings.refine and SMALLEST_PIXELS <= width * height <= HALF_RATE_PIXELS
+        self.grid.finest = FINEST_CELLS if refined else 1.0
 
     def reset(self) -> None:
         """Forget all cells."""
@@ -106,6 +112,7 @@ class RadianceCachePass:
         gbuffer: GBuffer | None = None, all_lean: bool = False, lean_layers: bool = False,
         world: wp.array | None = None, started: bool = False, after: tuple[str, ...] = (),
         phase: LightPhase = LightPhase.SWEEPING, fog: Fog | None = None, polished: float = math.inf,
+        glossy: bool = True,
     ) -> None:
         """Record a frame of the cache: answers the rays (`rays.radiance`).
 
@@ -129,8 +136,9 @@ class RadianceCachePass:
             phase: How far light has spread in these frames.
             fog: What is along the rays; None: nothing.
             polished: Least roughness of surfaces that mostly reflect (Reflectors).
+            glossy: Whether anything is glossy (Reflectors).
         """
-        own = self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog, polished)
+        own = self._take(count, minimum_cell, filtered, all_lean, lean_layers, world, fog, polished, glossy)
         settled = self.is_settled(phase)
         self._views, self._gbuffer[parity] = views, gbuffer
         with graph.slots(0, count, own.total):
@@ -162,12 +170,14 @@ class RadianceCachePass:
 
     def _take(
         self, count: int, minimum_cell: float, filtered: bool, all_lean: bool, lean_layers: bool,
-        world: wp.array | None, fog: Fog | None, polished: float,
+        world: wp.array | None, fog: Fog | None, polished: float, glossy: bool,
     ) -> CachedRays:
         """Take in what a record needs to know, and allocate for it; return the rays."""
         self.grid.minimum = minimum_cell
         mirrors = self.settings.follow_mirrors and polished < FOLLOWED_ROUGHNESS
-        self.rays.fit(count, (self.width, self.height), layers=filtered, mirrors=mirrors)
+        self.rays.fit(
+            count, (self.width, self.height), layers=filtered, mirrors=mirrors,
+            glossy=self.settings.highlights and glossy)
         self.rays.take(world, fog, all_lean=all_lean, lean_layers=lean_layers)
         return self.rays
 

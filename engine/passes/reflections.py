@@ -40,6 +40,7 @@ from ...kernels.composite import Lights
 from ...kernels.gbuffer import GBuffer
 from ...kernels.hash_grid import HashGrid
 from ...kernels.reflection_blocks import ReflectionHistory
+from ...kernels.reflection_highlights import HIGHLIGHT_DENSITY
 from ...kernels.reflection_rays import GATHERED, REFLECTED, REFRACTED, ReflectionRays
 from ...kernels.reflection_types import (
     LOBE_DIFFUSE,
@@ -107,9 +108,11 @@ def gather_settings(settings: RenderSettings) -> ReflectionSettings:
 class ReflectionPass:
     """Owns a frame's samples of one lobe and the rays that find them."""
 
-    def __init__(self, device: str, settings: ReflectionSettings, lobe: int = int(LOBE_REFLECTION)):
-        """Make the pass for a lobe: LOBE_*."""
-        self.device, self.settings, self.lobe = device, settings, int(lobe)
+    def __init__(
+        self, device: str, settings: ReflectionSettings, lobe: int = int(LOBE_REFLECTION), *, highlights: bool = True,
+    ):
+        """Make the pass for a lobe: LOBE_*. `highlights`: what rays meet may show some."""
+        self.device, self.settings, self.lobe, self._highlights = device, settings, int(lobe), highlights
         self.name, self.title, self.reflection, self._start = LOBES[self.lobe]
         names = DEBUG_CHANNELS if self.lobe == int(LOBE_REFLECTION) else ()
         self.debug_views: dict[str, str] = {name: DEBUG_VIEWS[name] for name in names}
@@ -147,6 +150,8 @@ class ReflectionPass:
         self._fill(self.vertices, BOUNCE_ARRAYS, 1)
         self._fill(self.rays, {"block": int, "found": wp.uint8}, count)
         self.rays.glossy = int(glossy)
+        # Diffuse light gathers from everywhere what glossy surfaces send on.
+        self.rays.least_density = 0.0 if self.lobe == int(LOBE_DIFFUSE) else float(HIGHLIGHT_DENSITY)
         self._fill(self.rays, {"lobe": wp.uint64, "highlight": float, "shared": float}, count if glossy else 1)
         self.queue = make_queue(count, self.device)
         self.all = WorkList(self.queue, self.rays.rank[count - 1 : count])
@@ -181,7 +186,7 @@ class ReflectionPass:
         """
         self._before = known or ReflectionHistory(), previous_matte
         lit = what.scene.lights.class_count > 0 and self.settings.hit_lighting
-        self._fit(what.filtered, what.glossy and lit and self.lobe != int(LOBE_DIFFUSE))
+        self._fit(what.filtered, what.glossy and lit and self._highlights)
         self._gbuffer[parity], self._surfaces, self._grid, self._views = gbuffer, gbuffer, grid, views
         scene, blocks, options = what.scene, self.blocks, self.options
         paths, vertices, rays = self.paths, self.vertices, self.rays

@@ -90,9 +90,9 @@ def run_motion(trial: Trial) -> None:
     delta.lights = scene.delta.lights
     session.update(delta)
     session.configure(settings, scene.camera, *SIZE)
-    session.step(trial.choose(32, 192))
+    session.step(trial.choose(96, 192))
     after = luminance(trial.take(session)).mean()
-    fresh = luminance(trial.render(scene, RT, trial.choose(48, 256), SIZE, fresh=True)).mean()
+    fresh = luminance(trial.render(scene, RT, trial.choose(96, 256), SIZE, fresh=True)).mean()
     trial.check_energy(f"at rest after {frames} moving frames", after / fresh, 0.03)
 
 

@@ -15,6 +15,8 @@ from burnish.kernels.cache_cells import CacheControl, purge_cells
 from burnish.kernels.hash_grid import (
     BUCKET,
     NO_CELL,
+    REFINE_END,
+    REFINE_START,
     SCREEN_LINES,
     HashGrid,
     cell_key,
@@ -59,7 +61,7 @@ def write_levels(
 ):
     """Write the size of the cell at point i."""
     i = wp.tid()
-    sizes_out[i] = cell_size(cell_level(grid, views[0].camera, positions[i], wp.uint32(i)))
+    sizes_out[i] = cell_size(cell_level(grid, views[0], positions[i], wp.uint32(i)))
 
 
 @wp.kernel
@@ -96,7 +98,7 @@ def find_points(
     """Find point i and read its light."""
     i = wp.tid()
     seed = wp.uint32(i)
-    level = cell_level(grid, views[0].camera, positions[i], seed)
+    level = cell_level(grid, views[0], positions[i], seed)
     place = still_place(positions[i], normal)
     cells_out[i] = find_key(grid, cell_key(grid, level, place, -normal))
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -116,7 +118,7 @@ def make_grid(device, capacity=1 << 12, pixels=8.0, **fields):
     for name, (dtype, entries) in CELL_ARRAYS.items():
         setattr(grid, name, wp.zeros(capacity * entries, dtype=dtype, device=device))
     grid.live = wp.zeros(1, dtype=int, device=device)
-    grid.bucket_mask, grid.minimum = capacity // int(BUCKET) - 1, 1e-3
+    grid.bucket_mask, grid.minimum, grid.finest = capacity // int(BUCKET) - 1, 1e-3, 1.0
     grid.pixels = pixels * (float(SCREEN_LINES) / LINES) ** 0.5
     grid.level_blend, grid.scan_all, grid.directions = 1, 1, 0
     for name, value in fields.items():
@@ -254,6 +256,21 @@ def test_cells_grow_less_than_the_pixels_do(device, orthographic):
         found.append(sizes.numpy())
     np.testing.assert_array_equal(found[0], 2.0 * found[1])
     np.testing.assert_array_equal(found[1], found[2])
+
+
+def test_cells_shrink_once_they_are_filled(device):
+    """Keep the width of cells for the first frames, halve it evenly over the next ones, but not below the smallest."""
+    first, last = int(REFINE_START) + 1, int(REFINE_END) + 1
+    points = np.tile([[0.0, 0.0, 1.0]], (4096, 1))
+    for smallest, factors in ((1e-6, (1.0, 1.0, 0.75, 0.5, 0.5)), (1.0, (1.0,) * 5)):
+        means = []
+        for frames in (1, first, (first + last) // 2, last, 2 * last):
+            views, _ = make_views(device, frames=frames)
+            grid = make_grid(device, finest=0.5, minimum=smallest)
+            sizes = wp.zeros(len(points), dtype=float, device=device)
+            wp.launch(write_levels, len(points), [views.array, grid, vectors(points, device)], [sizes], device=device)
+            means.append(2.0 ** np.log2(sizes.numpy()).mean())
+        np.testing.assert_allclose(means, np.array(factors) * means[0], rtol=0.03)
 
 
 def test_cell_size_of_orthographic_cameras(device):
