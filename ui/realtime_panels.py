@@ -57,6 +57,7 @@ class BURNISH_RENDER_PT_cache(RealtimePanel, Panel):
         column = layout.column(align=True)
         column.prop(cache, "cell_pixels")
         column.prop(cache, "minimum_cell")
+        column.prop(cache, "refine")
         layout.prop(cache, "capacity")
         column = layout.column(align=True)
         column.prop(cache, "bounces")
@@ -80,6 +81,7 @@ class BURNISH_RENDER_PT_cache_method(RealtimePanel, Panel):
         layout.prop(cache, "level_blend")
         layout.prop(cache, "cone_test")
         layout.prop(cache, "follow_mirrors")
+        layout.prop(cache, "highlights")
         layout.prop(cache, "ends_paths")
 
 
