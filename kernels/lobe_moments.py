@@ -3,8 +3,9 @@
 
 The GGX lobe f cos / albedo for a view is described by its mean direction, whose length is its moment of l = 1, and by
 the mean of P2 of the angle to that direction, its moment of l = 2. A lobe about an axis reflects of harmonics their
-value along the axis, each l times its moment (Ramamoorthi and Hanrahan 2002). Fresnel is Schlick's, so two lobes are
-tabulated: that which f0 multiplies, and that which f90 does and which lies nearer to the horizon.
+value along the axis, each l times its moment (Ramamoorthi and Hanrahan 2002). Facets reflect between f0 and f90
+(fresnel.grazing_share, as of dielectrics), so two lobes are tabulated: that which f0 multiplies, and that which f90
+does and which lies nearer to the horizon.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from __future__ import annotations
 import warp as wp
 
 from .albedo_tables import plane_point, view_at
+from .fresnel import grazing_share
 from .gbuffer import SurfaceMaterial
 from .geometry_math import sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
 from .packing import pack_unorm16, unpack_unorm16, whole_float
-from .specular_lobes import schlick, surface_alpha
+from .specular_lobes import surface_alpha
 from .wide_loads import load_piece
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -64,12 +66,12 @@ def unpack_moments(packed: wp.uint64) -> wp.vec4:
 
 @wp.func
 def lobe_sample(wo: wp.vec3, alpha: float, grazing: int, i: int) -> wp.vec4:
-    """Return a direction of the lobe and its weight: f cos / density, times Schlick's share."""
+    """Return a direction of the lobe and its weight: f cos / density, times the share of f0 or f90."""
     wi = sample_ggx_reflection(wo, alpha, alpha, plane_point(i))
     f = ggx_reflection(wo, wi, alpha, alpha)
     w = float(0.0)
     if f[1] > 0.0:
-        share = schlick(wp.vec3(0.0, 0.0, 0.0), 1.0, f[2])[0]
+        share = grazing_share(f[2], 0.0)
         w = f[0] / f[1] * wp.where(grazing == 1, share, 1.0 - share)
     return wp.vec4(wi[0], wi[1], wi[2], w)
 

@@ -17,7 +17,15 @@ from .albedo_tables import (
     reflected_dielectric_weight,
 )
 from .diffuse import oren_nayar_g
-from .fresnel import f0_from_ior, fresnel_dielectric, mix3
+from .fresnel import (
+    DIELECTRIC_F90,
+    DIELECTRIC_IOR,
+    f0_from_ior,
+    fresnel_dielectric,
+    grazing_share,
+    metal_part,
+    mix3,
+)
 from .gbuffer import GRAZING_MAX, SurfaceMaterial
 from .geometry_math import PI, max_component, mean_component, safe_sqrt, sqr
 from .ggx import ggx_lambda, reflect_about, sample_ggx_normal
@@ -287,10 +295,21 @@ def bsdf_albedo(tables: Tables, bsdf: Bsdf, wo: wp.vec3) -> BsdfAlbedo:
 
 
 @wp.func
+def mean_grazing_share(tables: Tables, cos_o: float, roughness: float, metal: float) -> float:
+    """Return the mean of grazing_share over the facets of a rough surface that reflect towards a view."""
+    share = float(0.0)
+    if metal < 1.0:
+        share = grazing_share(reflected_dielectric_cosine(tables, cos_o, roughness, DIELECTRIC_IOR), 0.0)
+    if metal > 0.0:
+        share = wp.lerp(share, fifth_power(1.0 - reflected_cosine(tables, cos_o, roughness)), metal)
+    return share
+
+
+@wp.func
 def fit_lobe(tables: Tables, albedo: BsdfAlbedo, cos_o: float, material: SurfaceMaterial) -> SurfaceMaterial:
     """Return the material with the `f0` and `f90` whose GGX lobe of `material.roughness` has the albedo `reflected`.
 
-    A lobe's albedo is E (f0 (1 - s) + f90 s), with the tables' E and the s of Schlick's curve. f90 is scaled by what
+    A lobe's albedo is E (f0 (1 - s) + f90 s), with the tables' E and the mean s of grazing_share. f90 is scaled by what
     the sums of all lobes miss; as stored it has 8 bits, so the channels' f0 takes up what is left, where it has an
     influence at all.
 
@@ -302,10 +321,12 @@ def fit_lobe(tables: Tables, albedo: BsdfAlbedo, cos_o: float, material: Surface
     """
     result = material
     energy = ggx_albedo(tables, cos_o, material.roughness)[0]
-    share = fifth_power(1.0 - reflected_cosine(tables, wp.max(cos_o, 0.0), material.roughness))
-    guess = energy * (mean_component(albedo.f0) * (1.0 - share) + albedo.f90 * share)
+    metal = metal_part(mean_component(albedo.f0), albedo.f90)
+    share = mean_grazing_share(tables, wp.max(cos_o, 0.0), material.roughness, metal)
+    grazing = albedo.f90 * wp.lerp(DIELECTRIC_F90, 1.0, metal)
+    guess = energy * (mean_component(albedo.f0) * (1.0 - share) + grazing * share)
     scale = wp.where(guess > 0.0, mean_component(albedo.reflected) / wp.max(guess, 1.0e-20), 0.0)
-    f90 = wp.clamp(albedo.f90 * wp.min(scale, 16.0), 0.0, 2.0 * GRAZING_MAX)
+    f90 = wp.clamp(grazing * wp.min(scale, 16.0), 0.0, 2.0 * GRAZING_MAX)
     step = wp.where(f90 > GRAZING_MAX or max_component(albedo.f0) > 1.0, 2.0, 1.0) * (GRAZING_MAX / 255.0)
     f90 = wp.floor(f90 / step + 0.5) * step
     along = wp.max(energy * (1.0 - share), NORMAL_SHARE_MIN)

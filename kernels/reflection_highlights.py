@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from .albedo_tables import ggx_albedo, reflected_cosine
+from .albedo_tables import ggx_albedo
+from .fresnel import grazing_share, metal_part
 from .geometry_math import INV_PI, PI, mean_component, sqr
 from .normals import valid_specular_normal
 from .packed_halves import pack_halves, unpack_halves
-from .reflectance import BsdfAlbedo, fifth_power
+from .reflectance import BsdfAlbedo, mean_grazing_share
 from .specular_lobes import COAT_F0
 from .types import ShadingPoint, Tables
 
@@ -178,8 +179,9 @@ def lobe_density(tables: Tables, h: Highlight, wi: wp.vec3, light_pdf: float, de
     value = d / (2.0 * h.cosine * (slope_o + slope_i))
     # What it gives of a white surrounding, so that wider lobes keep the albedo.
     roughness = wp.sqrt(wp.sqrt(a2))
-    around = fifth_power(1.0 - reflected_cosine(tables, h.cosine, roughness))
-    here = fifth_power(1.0 - wp.clamp(wp.dot(h.wo, half), 0.0, 1.0))
     share = h.normal_share
+    metal = metal_part(share, 1.0 - share)
+    around = mean_grazing_share(tables, h.cosine, roughness, metal)
+    here = grazing_share(wp.dot(h.wo, half), metal)
     fresnel = wp.lerp(share, 1.0 - share, here) / wp.max(wp.lerp(share, 1.0 - share, around), 1.0e-6)
     return value * wp.min(fresnel, FRESNEL_MAX) / wp.max(ggx_albedo(tables, h.cosine, roughness)[0], 0.05)

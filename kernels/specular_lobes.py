@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .fresnel import grazing_share, metal_part
 from .gbuffer import Surface, SurfaceMaterial
 from .geometry_math import max_component, mean_component, orthonormal_tangent, sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
@@ -48,11 +49,10 @@ def surface_alpha(roughness: float) -> float:
 
 
 @wp.func
-def schlick(f0: wp.vec3, f90: float, cos_h: float) -> wp.vec3:
-    """Return f0 + (f90 - f0) (1 - cos)^5 (Schlick 1994)."""
-    m = wp.clamp(1.0 - cos_h, 0.0, 1.0)
-    m5 = sqr(sqr(m)) * m
-    return f0 * (1.0 - m5) + wp.vec3(f90, f90, f90) * m5
+def facet_reflectance(f0: wp.vec3, f90: float, cos_h: float) -> wp.vec3:
+    """Return the reflectance of a facet between f0 along its normal and f90 at grazing angles."""
+    share = grazing_share(cos_h, metal_part(mean_component(f0), f90))
+    return f0 * (1.0 - share) + wp.vec3(f90, f90, f90) * share
 
 
 @wp.func
@@ -137,7 +137,7 @@ def lobes_value(m: SurfaceMaterial, lobes: SpecularLobes, wi: wp.vec3) -> wp.vec
     """Return f * cos [1/sr] of all reflecting lobes; 0 below the surface."""
     local_i = lobe_frame(lobes, wi)
     lobe = ggx_reflection(lobes.local_o, local_i, lobes.alpha, lobes.alpha)
-    value = schlick(m.f0, m.f90, lobe[2]) * lobe[0]
+    value = facet_reflectance(m.f0, m.f90, lobe[2]) * lobe[0]
     if lobes.coat_share > 0.0:
         coat = ggx_reflection(lobes.local_o, local_i, lobes.coat_alpha, lobes.coat_alpha)
         k = m.coat / coat_albedo(lobes.local_o[2], m.coat_roughness) * coat_reflectance(coat[2]) * coat[0]

@@ -14,9 +14,9 @@ def directions(steps=256):
 
 
 def lobe_values(cosine, roughness, f0, f90, d):
-    """Return f cos for a view in the xz plane: GGX with height-correlated Smith shadowing and Schlick's Fresnel.
+    """Return f cos for a view in the xz plane: GGX with height-correlated Smith shadowing, 0 below the plane z = 0.
 
-    0 for directions below the plane z = 0.
+    Facets reflect as by fresnel.grazing_share.
     """
     alpha2 = roughness**4
     wo = np.array([np.sqrt(max(1 - cosine * cosine, 0.0)), 0.0, cosine])
@@ -28,5 +28,7 @@ def lobe_values(cosine, roughness, f0, f90, d):
     def smith(c):
         return 0.5 * (np.sqrt(1 + alpha2 * (1 / (c * c) - 1)) - 1)
 
-    fresnel = f0 + (f90 - f0) * (1 - h @ wo) ** 5
+    facet = np.clip(h @ wo, 0.0, 1.0)
+    bend = 0.75 if f0 < 0.15 * f90 else 0.0
+    fresnel = f0 + (f90 - f0) * (1 - facet) ** 3 * ((1 - facet) ** 2 + bend * facet**2)
     return np.where(d[:, 2] > 0, density / (4 * cosine * (1 + smith(cosine) + smith(z))) * fresnel, 0.0)

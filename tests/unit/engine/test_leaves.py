@@ -30,7 +30,8 @@ def leaves(material, lamp_power=100.0, others=None):
     delta = scenes.delta(
         {"leaf": scenes.quad(1.0)},
         [("leaf", np.eye(4), "leaf"), ("leaf", upright, "others"), ("leaf", aside, "others")],
-        {"leaf": material, "others": others or material}, lights=[scenes.lamp("POINT", lamp_power, scenes.place(0.0, 0.0, 1.5), radius=0.2)],
+        {"leaf": material, "others": others or material},
+        lights=[scenes.lamp("POINT", lamp_power, scenes.place(0.0, 0.0, 1.5), radius=0.2)],
         background=0.2)
     return LitScene(delta, look_at((1.8, -2.5, 1.6), (-0.2, 0.1, 0.3), SIZE, 0.8))
 
