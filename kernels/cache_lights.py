@@ -11,13 +11,14 @@ from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point
+from .lamp_sample import LightSample
 from .light_linking import is_linked, kinds_lit
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
 from .paths import PENDING_NONE, PENDING_WORLD, Paths, has_hit, load_hit
 from .sampling import hash_combine, hashed_unit, sample_number, sample_pair
-from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
+from .types import LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene, ShadingPoint
 from .view import View
 from .wide_loads import load_view
 
@@ -59,6 +60,36 @@ def settle_world(scene: Scene, world: wp.array[wp.vec3], paths: Paths, slot: int
         paths.shadow_pending[slot] = PENDING_NONE
         if not max_component(light) > 0.0:
             paths.shadow_distance[slot] = 0.0
+
+
+@wp.func
+def density_of(normal: wp.vec3, behind: float, wi: wp.vec3) -> float:
+    """Return the density that turns radiance from a direction into irradiance / pi; by the shares of both sides."""
+    cosine = wp.dot(normal, wi)
+    return wp.abs(cosine) * INV_PI * wp.where(cosine > 0.0, 1.0 - behind, behind)
+
+
+@wp.func
+def sampled_density(normal: wp.vec3, behind: float, weighed: int, s: LightSample) -> float:
+    """Return density_of a light sample; `weighed` 1: less what rays bring of triangles' emission."""
+    density = density_of(normal, behind, s.wi)
+    if weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
+        density = density * power_heuristic(s.pdf, density)
+    return density
+
+
+@wp.func
+def send_to_light(
+    scene: Scene, world: wp.array[wp.vec3], point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths,
+    slot: int,
+):
+    """Set up the shadow ray of a hit's light sample, which carries so much light."""
+    if is_finite3(light) and max_component(light) > 0.0:
+        set_shadow_ray(scene, point, s, light, paths, slot)
+        settle_world(scene, world, paths, slot)
+        if paths.shadow_distance[slot] != 0.0:
+            # For count_rays.
+            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
 
 
 @wp.kernel
@@ -106,21 +137,11 @@ def choose_cache_lights(
     kinds = kinds_lit(scene, s.visibility, point.instance)
     if (kinds & VISIBLE_DIFFUSE) == 0:
         return
-    cosine = wp.dot(normal, s.wi)
-    share = wp.where(cosine > 0.0, 1.0 - reflectance[3], reflectance[3])
-    density = wp.abs(cosine) * share * INV_PI
-    if grid.weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
-        density = density * power_heuristic(s.pdf, density)
-    light = s.radiance * (density / s.pdf)
-    if is_finite3(light) and max_component(light) > 0.0:
-        set_shadow_ray(scene, point, s, light, paths_out, slot)
-        settle_world(scene, world, paths_out, slot)
-        if paths_out.shadow_distance[slot] != 0.0:
-            # For count_rays.
-            paths_out.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
-            if shows_highlights(vertices_out):
-                word = vertices_out.lobe[slot]
-                if word != wp.uint64(0):
-                    ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, density)
-                    # Of all that are not watched, too.
-                    vertices_out.highlight[slot] = ratio / watched
+    density = sampled_density(normal, reflectance[3], grid.weighed, s)
+    send_to_light(scene, world, point, s, s.radiance * (density / s.pdf), paths_out, slot)
+    if paths_out.shadow_distance[slot] != 0.0 and shows_highlights(vertices_out):
+        word = vertices_out.lobe[slot]
+        if word != wp.uint64(0):
+            ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, density)
+            # Of all that are not watched, too.
+            vertices_out.highlight[slot] = ratio / watched

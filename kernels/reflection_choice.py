@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_lights import settle_world
+from .cache_lights import sampled_density, send_to_light
 from .cache_rays import Vertices
 from .environment_table import texel_of
-from .geometry_math import INV_PI, is_finite3, max_component, mean_component, power_heuristic
+from .geometry_math import mean_component
 from .hash_grid import NO_CELL, HashGrid
 from .intersect import surface_point, triangle_material
 from .lamp_sample import LightSample
-from .light_linking import is_linked, kinds_lit
+from .light_linking import kinds_lit
 from .lights import cell_side, sample_light
 from .packing import unpack_normal
-from .path_shading import set_shadow_ray
 from .paths import Paths, has_hit, load_hit
 from .reflection_rays import FOUND_DIRECT, ReflectionRays
 from .sampling import BELOW_ONE, hashed_unit, sample_number, sample_pair
-from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene, ShadingPoint
+from .types import LIGHT_ENVIRONMENT, LIGHT_TRIANGLE, VISIBLE_DIFFUSE, Scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -43,36 +42,6 @@ def emitted(scene: Scene, world: wp.array[wp.vec3], s: LightSample) -> wp.vec3:
             return world[texel_of(scene.environment, s.wi)]
         return scene.environment.radiance
     return wp.vec3(1.0, 1.0, 1.0)
-
-
-@wp.func
-def density_of(normal: wp.vec3, behind: float, wi: wp.vec3) -> float:
-    """Return the density that turns radiance from a direction into irradiance / pi; by the shares of both sides."""
-    cosine = wp.dot(normal, wi)
-    return wp.abs(cosine) * INV_PI * wp.where(cosine > 0.0, 1.0 - behind, behind)
-
-
-@wp.func
-def sampled_density(normal: wp.vec3, behind: float, weighed: int, s: LightSample) -> float:
-    """Return density_of a light sample; `weighed` 1: less what rays bring of triangles' emission."""
-    density = density_of(normal, behind, s.wi)
-    if weighed == 1 and s.kind == LIGHT_TRIANGLE and not is_linked(s.visibility):
-        density = density * power_heuristic(s.pdf, density)
-    return density
-
-
-@wp.func
-def send_to_light(
-    scene: Scene, world: wp.array[wp.vec3], point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths,
-    slot: int,
-):
-    """Set up the shadow ray of a hit's light sample, which carries so much light."""
-    if is_finite3(light) and max_component(light) > 0.0:
-        set_shadow_ray(scene, point, s, light, paths, slot)
-        settle_world(scene, world, paths, slot)
-        if paths.shadow_distance[slot] != 0.0:
-            # For count_rays.
-            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
 
 
 @wp.kernel

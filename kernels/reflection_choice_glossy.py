@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_lights import sampled_density, send_to_light
 from .cache_rays import Vertices
 from .geometry_math import INV_PI, mean_component, power_heuristic
 from .hash_grid import NO_CELL, HashGrid
@@ -19,7 +20,7 @@ from .light_linking import kinds_lit
 from .lights import cell_side, sample_light
 from .packing import rgb, unpack_normal
 from .paths import Paths, has_hit, load_hit
-from .reflection_choice import DIMENSION_CANDIDATE, STREAM_PICK, emitted, sampled_density, send_to_light
+from .reflection_choice import DIMENSION_CANDIDATE, STREAM_PICK, emitted
 from .reflection_highlights import Highlight, lobe_albedo, lobe_density, make_highlight, unpack_lobe
 from .reflection_rays import FOUND_DIRECT, FOUND_SCREEN, ReflectionRays
 from .reflection_shared import going_on, shared_density
