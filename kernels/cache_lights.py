@@ -142,6 +142,7 @@ def choose_cache_lights(
     if paths_out.shadow_distance[slot] != 0.0 and shows_highlights(vertices_out):
         word = vertices_out.lobe[slot]
         if word != wp.uint64(0):
-            ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, density)
+            whole = density_of(normal, reflectance[3], s.wi)
+            ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, whole)
             # Of all that are not watched, too.
             vertices_out.highlight[slot] = ratio / watched

@@ -81,7 +81,8 @@ def closed_box(albedo: float, size: tuple[int, int], **arguments: float) -> Stre
 def surfaces(trial: Trial) -> Sequence[dict[str, float]]:
     """Return arguments of walls: roughness x metallic x IOR."""
     if trial.quick:
-        return ({"roughness": 0.25, "metallic": 1.0}, {"roughness": 1.0, "metallic": 0.0})
+        return ({"roughness": 0.25, "metallic": 1.0}, {"roughness": 0.75, "metallic": 1.0},
+                {"roughness": 1.0, "metallic": 0.0})
     opaque = itertools.product(ROUGHNESSES, (0.0,), (1.0, 1.5, 3.0))
     metals = itertools.product(ROUGHNESSES, (1.0,), (1.5,))
     return [{"roughness": r, "metallic": m, "ior": i} for r, m, i in (*opaque, *metals)]

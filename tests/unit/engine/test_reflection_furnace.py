@@ -61,6 +61,17 @@ def test_white_box(metallic, roughness, albedo, tolerance, how):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("albedo", "tolerance"), [(0.8, 0.01), (0.9, 0.01), (0.95, 0.02)])
+@pytest.mark.parametrize("roughness", [0.5, 0.75, 1.0])
+def test_frames_of_rough_metal_keep_their_light(roughness, albedo, tolerance):
+    """Find e / (1 - share) in boxes whose hits show highlights of emission from all around: no light of its own."""
+    setup = Setup((48, 36), "realtime", groups={"denoiser": {"path_traced_rest": False}})
+    picture = setup.picture(closed_box(albedo, setup.size, metallic=1.0, roughness=roughness), 384)
+    expected = EMISSION / (1.0 - albedo * white_share(metallic=1.0, roughness=roughness))
+    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.slow
 def test_long_paths_keep_their_light():
     """Lose nothing after 32 bounces, where paths may not gain: weights of single samples are above 1 now and then."""
     picture = Setup((24, 18), "reference").picture(closed_box(0.95, (24, 18), metallic=0.0, roughness=0.5), 1024)
