@@ -70,8 +70,8 @@ class CacheControl:
 
 @wp.func
 def to_fixed(x: float) -> wp.int64:
-    """Return a number in units of the sums."""
-    return wp.int64(wp.float64(wp.clamp(x, 0.0, LIGHT_MAX)) * wp.float64(FIXED_ONE))
+    """Return a number in units of the sums. Single samples may be below 0: highlights take off what goes elsewhere."""
+    return wp.int64(wp.float64(wp.clamp(x, -LIGHT_MAX, LIGHT_MAX)) * wp.float64(FIXED_ONE))
 
 
 @wp.func

@@ -2,9 +2,11 @@
 """Highlights of lights on what the cache's rays hit: light that glossy surfaces send on as they reflect it.
 
 Cells know no direction, so what lights a hit counts as matte there, all that it reflects. Here the strongest glossy
-lobe of a hit takes its direct light for itself, as for what mirrors show (reflection_highlights.py): the hit's own
-light sample is worth the lobe's value, and what the matte one has counted of it is taken off. Light that the sun sends
-along a facade goes down to the ground then, not to all sides.
+lobe of a hit takes its direct light for itself, as for what mirrors show (reflection_highlights.py): to the cell's
+light comes what the hit's own light sample is worth to the lobe, less what it is worth as matte light. Light that the
+sun sends along a facade goes down to the ground then, not to all sides. Where a sample is worth the same both ways
+nothing is added: the cell's own direct light, which is a mean over places, stays beside its indirect light, and both
+together keep what they had.
 """
 
 from __future__ import annotations
@@ -12,13 +14,14 @@ from __future__ import annotations
 import warp as wp
 
 from .cache_rays import Vertices
-from .geometry_math import INV_PI, max_component, mean_component, power_heuristic
+from .geometry_math import max_component, mean_component, power_heuristic
 from .lamp_sample import LightSample
 from .packing import rgb
 from .reflectance import BsdfAlbedo
 from .reflection_highlights import (
     BEHIND_MAX,
     HIGHLIGHT_ALBEDO,
+    HIGHLIGHT_DENSITY,
     highlight_lobe,
     lobe_albedo,
     lobe_density,
@@ -67,16 +70,16 @@ def is_glossy(vertices: Vertices, slot: int) -> bool:
 
 
 @wp.func
-def highlight_ratio(
+def highlight_excess(
     tables: Tables, word: wp.uint64, point: ShadingPoint, normal: wp.vec3, s: LightSample, kinds: int, matte: float,
 ) -> float:
-    """Return what a hit's lobe makes of a light sample, over its albedo, by what the cells take of it.
+    """Return what a light sample is worth to a hit's lobe beyond matte light, over the lobe's albedo, by the latter.
 
     Lamps without extent light the lobe; of other light it gets a share by the density of its samples: that of suns and
-    bulbs nearly whole, that of skies and walls around hardly. What has no direction needs no lobe, and with one it
-    would be counted twice where something hides a part of it from the lobe alone: that sends its own light, which
-    counts as matte. White metal balls under a white sky were 1 % bright, metal boxes that emit 2 %. The share knows no
-    angles, as the lobe's value goes with them.
+    bulbs nearly whole, that of skies and walls around hardly. What has no direction needs no lobe, and something may
+    hide a part of it from the lobe alone, whose own light counts as matte then: white metal balls under a white sky
+    were 1 % bright. The share knows no angles, as the lobe's value goes with them, and lobes are as wide as for lamps:
+    with widths by the density of each sample they gave 1 to 2 % too much in boxes that emit.
 
     Args:
         tables: Albedos.
@@ -88,18 +91,18 @@ def highlight_ratio(
         matte: Density [1/sr] that turns its radiance into irradiance / pi, above 0.
     """
     if (kinds & VISIBLE_GLOSSY) == 0 or wp.dot(normal, s.wi) <= 0.0 or wp.dot(point.geometric_normal, s.wi) <= 0.0:
-        return 0.0
+        return -1.0
     share = float(1.0)
     if s.delta == 0:
-        share = power_heuristic(s.pdf, INV_PI)
+        share = power_heuristic(s.pdf, HIGHLIGHT_DENSITY)
     # A probe's ray stands for a wide part of what it sees: sharp lobes would leave sparks.
     value = lobe_density(tables, make_highlight(unpack_lobe(word), point, normal, 0.0), s.wi, s.pdf, 1)
-    return 1.0 + share * (value / matte - 1.0)
+    return share * (value / matte - 1.0)
 
 
 @wp.func
 def highlight_light(vertices: Vertices, slot: int, sampled: wp.vec3, counted: wp.vec3) -> wp.vec3:
-    """Return the radiance that a hit's lobe adds to its matte light.
+    """Return the radiance that a hit's lobe adds to its matte light, or takes off.
 
     Args:
         vertices: Of the rays.
@@ -117,4 +120,4 @@ def highlight_light(vertices: Vertices, slot: int, sampled: wp.vec3, counted: wp
     limit = BRIGHTEST_HIGHLIGHT * max_component(counted)
     if brightest > limit:
         light = light * (limit / brightest)
-    return wp.cw_mul(lobe_albedo(word), light - counted)
+    return wp.cw_mul(lobe_albedo(word), light)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .cache_highlights import highlight_ratio, is_glossy, shows_highlights
+from .cache_highlights import highlight_excess, is_glossy, shows_highlights
 from .cache_rays import DIMENSION_LIGHT, DIMENSION_PLACE, UNWATCHED, Vertices, is_near, slot_seed
 from .environment_table import has_texels, texel_of
 from .geometry_math import INV_PI, is_finite3, max_component, power_heuristic
@@ -143,6 +143,6 @@ def choose_cache_lights(
         word = vertices_out.lobe[slot]
         if word != wp.uint64(0):
             whole = density_of(normal, reflectance[3], s.wi)
-            ratio = highlight_ratio(scene.tables, word, point, normal, s, kinds, whole)
+            excess = highlight_excess(scene.tables, word, point, normal, s, kinds, whole)
             # Of all that are not watched, too.
-            vertices_out.highlight[slot] = ratio / watched
+            vertices_out.highlight[slot] = excess / watched

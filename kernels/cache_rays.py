@@ -64,7 +64,7 @@ class Vertices:
     lobe: wp.array[wp.uint64]
     """pack_lobe of the glossy lobe, 0 for none; without any slot where no lobe counts (cache_highlights.py)"""
     highlight: wp.array[float]
-    """Of lights in that lobe: what it makes of the hit's light sample, over its albedo, by what cells take of it"""
+    """What the hit's light sample is worth to that lobe beyond matte light, over the lobe's albedo, by matte light"""
     cell: wp.array[int]
     """NO_CELL for misses and full buckets"""
     source: wp.array[int]

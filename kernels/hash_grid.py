@@ -341,7 +341,7 @@ def known_indirect(
 ) -> wp.vec4:
     """Return the indirect light of a point's cell (irradiance / pi), else of the coarse one, else of the wide one.
 
-    w = samples in it; 0: nothing is known.
+    w = samples in it; 0: nothing is known. Means of few samples with highlights may be below 0; they stay in the cell.
     """
     light = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if cell != NO_CELL:
@@ -355,7 +355,7 @@ def known_indirect(
             wide = find_key(grid, wide_key(grid, key))
             if wide != NO_CELL:
                 light = grid.indirect[wide]
-    return light
+    return wp.max(light, wp.vec4(0.0, 0.0, 0.0, 0.0))
 
 
 @wp.func

@@ -80,7 +80,7 @@ def indirect_of(grid: HashGrid, cell: int) -> wp.vec4:
     """Return a cell's indirect light; w = samples in it, 0 for NO_CELL."""
     if cell == NO_CELL:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return grid.indirect[cell]
+    return wp.max(grid.indirect[cell], wp.vec4(0.0, 0.0, 0.0, 0.0))
 
 
 @wp.func
