@@ -8,7 +8,7 @@ import warp as wp
 from .cache_highlights import highlight_light
 from .cache_rays import IDLE, SWEEP_FRAMES, UNWATCHED, Vertices, cell_seed, hit_place, is_near
 from .geometry_math import is_finite3, max_component
-from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, is_lit, known_indirect
+from .hash_grid import NO_CELL, HashGrid, find_lit_cell, indirect_light, indirect_of, is_lit, known_indirect
 from .packing import rgb
 from .paths import Paths
 from .probe_rays import ProbeRays
@@ -82,7 +82,7 @@ def gather_bounces(
             if not light[3] > 0.0 and source != NO_CELL and settling_frames(view) >= SWEEP_FRAMES:
                 # One ray of a thousand meets cells so seldom met that nothing is known. Black would be lost in every
                 # bounce: 2 % of the light at albedo 0.95. The source's own light stands for the mean of the known.
-                light = grid.indirect[source]
+                light = indirect_of(grid, source)
             carried = bounced_light(view, vertices_out, slot, rgb(light))
         arrived = rgb(emission) + wp.cw_mul(reflectance, direct)
         arrived = arrived + highlight_light(vertices_out, slot, rgb(paths.radiance[slot]), direct)

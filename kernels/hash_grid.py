@@ -336,26 +336,31 @@ def wide_key(grid: HashGrid, coarse: wp.int64) -> wp.int64:
 
 
 @wp.func
+def indirect_of(grid: HashGrid, cell: int) -> wp.vec4:
+    """Return a cell's indirect light (irradiance / pi), black for NO_CELL; w = samples in it, 0: nothing is known.
+
+    Means of few samples with highlights may be below 0. They stay so in the cell, and count as black.
+    """
+    if cell == NO_CELL:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    return wp.max(grid.indirect[cell], wp.vec4(0.0, 0.0, 0.0, 0.0))
+
+
+@wp.func
 def known_indirect(
     grid: HashGrid, view: View, cell: int, place: CellPlace, direction: wp.vec3, seed: wp.uint32,
 ) -> wp.vec4:
     """Return the indirect light of a point's cell (irradiance / pi), else of the coarse one, else of the wide one.
 
-    w = samples in it; 0: nothing is known. Means of few samples with highlights may be below 0; they stay in the cell.
+    w = samples in it; 0: nothing is known.
     """
-    light = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if cell != NO_CELL:
-        light = grid.indirect[cell]
+    light = indirect_of(grid, cell)
     if not light[3] > 0.0:
         key = coarse_key(grid, view, place, direction, seed)
-        coarse = find_key(grid, key)
-        if coarse != NO_CELL:
-            light = grid.indirect[coarse]
+        light = indirect_of(grid, find_key(grid, key))
         if not light[3] > 0.0:
-            wide = find_key(grid, wide_key(grid, key))
-            if wide != NO_CELL:
-                light = grid.indirect[wide]
-    return wp.max(light, wp.vec4(0.0, 0.0, 0.0, 0.0))
+            light = indirect_of(grid, find_key(grid, wide_key(grid, key)))
+    return light
 
 
 @wp.func
@@ -371,5 +376,5 @@ def indirect_light(
 def read_cell(grid: HashGrid, cell: int) -> wp.vec4:
     """Return a cell's light as irradiance / pi [W/m2/sr]; w = samples of its direct light."""
     d = grid.direct[cell]
-    i = grid.indirect[cell]
+    i = indirect_of(grid, cell)
     return wp.vec4(d[0] + i[0], d[1] + i[1], d[2] + i[2], d[3])

@@ -14,7 +14,7 @@ from .gather_start import PDF_MIN
 from .gbuffer import GBuffer, load_surface
 from .gbuffer_store import closure_number, stored_point
 from .geometry_math import INV_PI, TWO_PI, max_component, mean_component, to_frame
-from .hash_grid import HashGrid, cell_key, cell_level, coarse_key, find_key
+from .hash_grid import HashGrid, cell_key, cell_level, coarse_key, find_key, indirect_of
 from .homes import CellPlace
 from .intersect import surface_point
 from .layering import unit_normal
@@ -32,7 +32,6 @@ from .reflection_rays import (
     ray_count,
     send_ray,
 )
-from .reflection_resolve import indirect_of
 from .reflection_types import SAMPLE_FAR, ReflectionOptions, ReflectionSamples, sample_pixel
 from .reflection_walks import KNOWN_SAMPLES, NO_WALK, WALKS, Walks, goes_below, pixel_showing
 from .sampling import hash_combine, hashed_unit, sample_cosine, sample_number, sample_pair

@@ -152,24 +152,24 @@ def make_highlight(lobe: HitLobe, point: ShadingPoint, normal: wp.vec3, pdf: flo
 
 
 @wp.func
-def lobe_density(tables: Tables, h: Highlight, wi: wp.vec3, light_pdf: float, delta: int) -> float:
+def lobe_density(tables: Tables, h: Highlight, wi: wp.vec3, light_pdf: float, narrow: int) -> float:
     """Return the lobe's value times the cosine over its albedo [1/sr]; 0 below the surface.
 
-    It is no sharper than light samples can show without sparks: of a sky, which is sampled everywhere, any lobe
-    reflects about the same.
+    But where it is narrow it is no sharper than light samples can show without sparks: of a sky, which is sampled
+    everywhere, any lobe reflects about the same.
 
     Args:
         tables: Albedos.
         h: From make_highlight.
         wi: Direction of a light sample.
         light_pdf: Its density.
-        delta: Its LightSample.delta.
+        narrow: 1: the lobe keeps its width, as for lights without extent (LightSample.delta).
     """
     up = wp.dot(h.normal, wi)
     if up <= 0.0:
         return 0.0
     a2 = sqr(h.alpha)
-    if delta == 0:
+    if narrow == 0:
         a2 = wp.clamp(1.0 / (4.0 * PI * DENSITY_RATIO * wp.max(light_pdf, 1.0e-6)), a2, 1.0)
     half = wp.normalize(h.wo + wi)
     z2 = wp.min(sqr(wp.dot(h.normal, half)), 1.0)

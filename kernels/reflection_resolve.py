@@ -18,6 +18,7 @@ from .hash_grid import (
     find_key,
     find_lit_cell,
     indirect_light,
+    indirect_of,
     is_lit,
     jittered,
     known_indirect,
@@ -73,14 +74,6 @@ class HitLight:
 
     direct: wp.vec3
     indirect: wp.vec3
-
-
-@wp.func
-def indirect_of(grid: HashGrid, cell: int) -> wp.vec4:
-    """Return a cell's indirect light; w = samples in it, 0 for NO_CELL."""
-    if cell == NO_CELL:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return wp.max(grid.indirect[cell], wp.vec4(0.0, 0.0, 0.0, 0.0))
 
 
 @wp.func

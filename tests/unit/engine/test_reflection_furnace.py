@@ -13,6 +13,12 @@ GLASS = Setup((144, 48), truth_samples=512)
 BOX = Setup((48, 36), truth_samples=512)
 
 
+def white_box_light(setup, count, albedo, **surface):
+    """Return the light of a closed white box after so many frames or samples, by e / (1 - share)."""
+    picture = setup.picture(closed_box(albedo, setup.size, **surface), count)
+    return luminance(picture).mean() / (EMISSION / (1.0 - albedo * white_share(**surface)))
+
+
 def check(result):
     """Fail with all figures that miss their goals."""
     missed = [f"{f.name}: {f.value:.4g} is not in {f.low:g}..{f.high:g}" for f in result[0] if not f.good]
@@ -54,10 +60,8 @@ def test_white_box(metallic, roughness, albedo, tolerance, how):
     """Find e / (1 - share) in closed white boxes: by frames, as samples join them, and by endless paths."""
     setup = Setup((24, 18), "reference" if how == "reference" else "realtime",
                   groups={"denoiser": {"path_traced_rest": how == "at rest"}})
-    surface = {"metallic": metallic, "roughness": roughness}
-    picture = setup.picture(closed_box(albedo, setup.size, **surface), 512)
-    expected = EMISSION / (1.0 - albedo * white_share(**surface))
-    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=tolerance)
+    light = white_box_light(setup, 512, albedo, metallic=metallic, roughness=roughness)
+    assert light == pytest.approx(1.0, abs=tolerance)
 
 
 @pytest.mark.slow
@@ -66,17 +70,15 @@ def test_white_box(metallic, roughness, albedo, tolerance, how):
 def test_frames_of_rough_metal_keep_their_light(roughness, albedo, tolerance):
     """Find e / (1 - share) in boxes whose hits show highlights of emission from all around: no light of its own."""
     setup = Setup((48, 36), "realtime", groups={"denoiser": {"path_traced_rest": False}})
-    picture = setup.picture(closed_box(albedo, setup.size, metallic=1.0, roughness=roughness), 384)
-    expected = EMISSION / (1.0 - albedo * white_share(metallic=1.0, roughness=roughness))
-    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=tolerance)
+    light = white_box_light(setup, 384, albedo, metallic=1.0, roughness=roughness)
+    assert light == pytest.approx(1.0, abs=tolerance)
 
 
 @pytest.mark.slow
 def test_long_paths_keep_their_light():
     """Lose nothing after 32 bounces, where paths may not gain: weights of single samples are above 1 now and then."""
-    picture = Setup((24, 18), "reference").picture(closed_box(0.95, (24, 18), metallic=0.0, roughness=0.5), 1024)
-    expected = EMISSION / (1.0 - 0.95 * white_share(metallic=0.0, roughness=0.5))
-    assert luminance(picture).mean() / expected == pytest.approx(1.0, abs=0.01)
+    light = white_box_light(Setup((24, 18), "reference"), 1024, 0.95, metallic=0.0, roughness=0.5)
+    assert light == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.slow
