@@ -50,8 +50,8 @@ COARSE_LEVELS = wp.constant(2)
 
 # Frames between which cells shrink to HashGrid.finest of their width. Few rays have met the first ones, of which each
 # needs some; until frame REBALANCE_FRAMES of cache_cells.py all new ones send bounce rays on.
-REFINE_START = wp.constant(16.0)
-REFINE_END = wp.constant(40.0)
+REFINE_START = wp.constant(4.0)
+REFINE_END = wp.constant(16.0)
 
 # Streams of random numbers of a look-up.
 STREAM_LEVEL = wp.constant(wp.uint32(0x4C45564C))
