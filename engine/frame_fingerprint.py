@@ -12,7 +12,9 @@ from .passes.gbuffer import shines_plainly
 __all__ = ["fingerprint"]
 
 
-def fingerprint(scene: DeviceScene, motion: Motion, split: EnvironmentSplit, blurred: bool) -> bytes:
+def fingerprint(
+    scene: DeviceScene, motion: Motion, split: EnvironmentSplit, blurred: bool,
+) -> tuple[bytes, tuple]:
     """Return the addresses and numbers in by-value structs, and what the choice of launches depends on.
 
     Args:
@@ -28,4 +30,4 @@ def fingerprint(scene: DeviceScene, motion: Motion, split: EnvironmentSplit, blu
     structs += [scene.media.frames] if scene.media is not None and scene.media.frames is not None else []
     fog = scene.media and scene.media.fog
     structs += [fog_struct(fog)] if fog is not None else []
-    return b"".join(bytes(struct._ctype) for struct in structs) + repr(facts).encode()
+    return b"".join(bytes(struct._ctype) for struct in structs), facts

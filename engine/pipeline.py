@@ -92,7 +92,7 @@ class Pipeline(FramePasses):
         self._parity = 0
         self._graph: FrameGraph | None = None
         self._graphs: dict[tuple[int, bool, LightPhase, bool], tuple[FrameGraph, wp.array | None, list]] = {}
-        self._recorded_for = b""
+        self._recorded_for: tuple | None = None
         self.records = 0
         """Frames that were recorded so far: such a frame takes longer than those that follow"""
         self._picture: wp.array | None = None
@@ -114,7 +114,7 @@ class Pipeline(FramePasses):
         self._forget_records()
 
     def _forget_records(self) -> None:
-        self._graphs, self._recorded_for = {}, b""
+        self._graphs, self._recorded_for = {}, None
 
     def frame(self, scene: DeviceScene, views: ViewTracker, timed: bool = False, unseen: bool = False) -> None:
         """Render the frame that `views` has advanced to; its result is `picture`.

@@ -134,6 +134,7 @@ class Realtime:
         self.pipeline.configure(
             densified(self._settings, *fine, self.device, factor, seen=not self._traced_alone), *fine[:2],
             self._light_passes)
+        self.pipeline.composite.motion_frames = self._supersampling.motion_frames
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
@@ -241,7 +242,8 @@ class Realtime:
         self.views.advance(
             camera, moved=self._moved, lit=self._lit, exposure=settings.film.exposure,
             transparent=settings.film.transparent,
-            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
+            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None,
+            motion_jitter=self._supersampling.motion_jitter)
         self._moved = self._lit = False
         self.pipeline.frame(scene, self.views, timed=self.timed, unseen=unseen)
         self.frames += 1

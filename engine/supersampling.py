@@ -14,6 +14,7 @@ import warp as wp
 
 from ..kernels import supersampling
 from .device import launch
+from .passes import composite
 from .pixel_filter import filter_table
 from .ray_budget import is_small
 from .settings import FilmSettings, PixelFilter, RenderSettings
@@ -22,6 +23,14 @@ __all__ = ["Supersampling"]
 
 FACTOR = 2
 """Pixels of a frame along each side of a pixel of the picture"""
+
+MOTION_JITTER = 0.5
+"""Share of the jitter that larger frames have in motion. Over the few frames that count there jitter has no mean of 0:
+edges lie beside their place, and motion itself moves them over pixels"""
+
+MOTION_FRAMES = 5.0
+"""As how many frames the history of larger frames counts in motion (passes/composite.py): each has four samples for a
+pixel of the picture"""
 
 LEAST_JITTER = 0.1
 """Share of the filter's variance that must be left to the jitter: less would leave gaps between the samples"""
@@ -62,6 +71,16 @@ class Supersampling:
         """
         width = film.filter_width if self.factor == 1 else fine_width(film, self.factor)
         return filter_table(film.pixel_filter, width)
+
+    @property
+    def motion_jitter(self) -> float:
+        """Share of the jitter that frames have in motion."""
+        return 1.0 if self.factor == 1 else MOTION_JITTER
+
+    @property
+    def motion_frames(self) -> float:
+        """As how many frames the history of anti-aliasing counts in motion."""
+        return composite.MOTION_FRAMES if self.factor == 1 else MOTION_FRAMES
 
     def average(self, picture: wp.array) -> wp.array:
         """Return what frames show, vec3 or vec4, at the picture's size [h * w]; itself where that is the same."""

@@ -30,10 +30,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # A colour is no firefly up to so many times the mean luma of the pixels around it.
 VEILED = wp.constant(4.0)
 
-# Frames that the history counts as in motion: the weight of a new frame falls to 0.1.
-MOTION_SAMPLES = wp.constant(9.0)
-
-# ... and once it comes to rest: what motion left fades, but noise grows by a quarter at most.
+# Frames that the history counts as once a picture comes to rest: what motion left fades, noise grows by a quarter at
+# most.
 FIRST_REST_SAMPLES = wp.constant(4.0)
 
 # Half the size of the box around the neighbourhood's mean, in standard deviations: while things move, and while the
@@ -276,21 +274,23 @@ def clamp_color(c: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int) -> float:
+def mirrored_limit(
+    mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int, motion_frames: float,
+) -> float:
     """Return as how many frames the history may count by what a mirror shows: few where that is something new.
 
     The mean of its reflection has been made anew there (reflection_temporal.renewed), which a camera that moves leaves
     alone. Whatever moves in a mirror would be smeared: the surface's motion is not its image's.
     """
     if mirrors.known <= 0.0 or only_camera_moved(position, taps):
-        return MOTION_SAMPLES
+        return motion_frames
     if unpack_roughness(mirrors.material[pixel]) > DISTANCE_ROUGHNESS:
-        return MOTION_SAMPLES
+        return motion_frames
     length = wp.abs(unpack_halves(mirrors.state[pixel])[0])
     if length <= 0.0:
-        return MOTION_SAMPLES
+        return motion_frames
     known = wp.clamp((length - RENEWED_LENGTH) / wp.max(mirrors.known - RENEWED_LENGTH, 1.0e-3), 0.0, 1.0)
-    return MOTION_SAMPLES * known * known
+    return motion_frames * known * known
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -307,12 +307,13 @@ def antialias(
     width: int,
     height: int,
     enabled: int,
+    motion_frames: float,
     # Out:
     accumulation_out: Accumulation,
 ):
     """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written.
 
-    `color` is pack_halves of colours.
+    `color` is pack_halves of colours; in motion the history counts as `motion_frames` frames at most.
     """
     pixel = first + wp.tid()
     view = load_view(views)
@@ -342,7 +343,8 @@ def antialias(
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(float(previous.samples[old]), picture_limit(view))
-                samples = wp.min(samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel))
+                samples = wp.min(
+                    samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel, motion_frames))
                 history = clamp_color(rectify(
                     clamp_color(resample(previous.color, p, width, height)), n,
                     wp.where(still, CLIP_STILL, CLIP_DEVIATIONS)))

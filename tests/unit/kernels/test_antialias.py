@@ -65,7 +65,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled]
+        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, 9.0]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
