@@ -9,9 +9,12 @@ import numpy as np
 
 from .settings import PixelFilter
 
-__all__ = ["filter_table"]
+__all__ = ["filter_table", "sharpness_of"]
 
 ENTRIES = 1025
+
+LEAST_VARIANCE = 1e-6
+"""[px^2]; of a filter that is next to a point"""
 
 
 @functools.lru_cache(maxsize=16)
@@ -33,3 +36,8 @@ def filter_table(kind: PixelFilter, width: float) -> np.ndarray:
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]))])
     quantiles = np.linspace(0.0, cumulative[-1], ENTRIES)
     return np.interp(quantiles, cumulative, x).astype(np.float32)
+
+
+def sharpness_of(table: np.ndarray) -> float:
+    """Return 1 / (2 variance) [1/px^2] of a filter_table: a Gaussian exp(-sharpness d^2) is as wide."""
+    return 0.5 / max(float(np.var(table)), LEAST_VARIANCE)

@@ -31,7 +31,7 @@ from .passes.radiance_cache import smallest_cell
 from .passes.reference import ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
-from .pixel_filter import filter_table
+from .pixel_filter import filter_table, sharpness_of
 from .ray_budget import densified
 from .scene import CameraData
 from .settings import FRAME_GROUPS, CacheKey, Integrator, RenderSettings
@@ -135,6 +135,7 @@ class Realtime:
             densified(self._settings, *fine, self.device, factor, seen=not self._traced_alone), *fine[:2],
             self._light_passes)
         self.pipeline.composite.motion_frames = self._supersampling.motion_frames
+        self.pipeline.composite.sharpness = sharpness_of(self._quantiles)
 
     def restart(self) -> None:
         """Forget everything: the next frame is the first."""
@@ -242,8 +243,7 @@ class Realtime:
         self.views.advance(
             camera, moved=self._moved, lit=self._lit, exposure=settings.film.exposure,
             transparent=settings.film.transparent,
-            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None,
-            motion_jitter=self._supersampling.motion_jitter)
+            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
         self._moved = self._lit = False
         self.pipeline.frame(scene, self.views, timed=self.timed, unseen=unseen)
         self.frames += 1

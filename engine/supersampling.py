@@ -24,10 +24,6 @@ __all__ = ["Supersampling"]
 FACTOR = 2
 """Pixels of a frame along each side of a pixel of the picture"""
 
-MOTION_JITTER = 0.5
-"""Share of the jitter that larger frames have in motion. Over the few frames that count there jitter has no mean of 0:
-edges lie beside their place, and motion itself moves them over pixels"""
-
 MOTION_FRAMES = 5.0
 """As how many frames the history of larger frames counts in motion (passes/composite.py): each has four samples for a
 pixel of the picture"""
@@ -71,11 +67,6 @@ class Supersampling:
         """
         width = film.filter_width if self.factor == 1 else fine_width(film, self.factor)
         return filter_table(film.pixel_filter, width)
-
-    @property
-    def motion_jitter(self) -> float:
-        """Share of the jitter that frames have in motion."""
-        return 1.0 if self.factor == 1 else MOTION_JITTER
 
     @property
     def motion_frames(self) -> float:

@@ -52,7 +52,7 @@ class ViewTracker:
 
     def advance(
         self, camera: np.ndarray, *, moved: bool, lit: bool, exposure: float, transparent: bool,
-        filter_quantiles: np.ndarray | None, motion_jitter: float = 1.0,
+        filter_quantiles: np.ndarray | None,
     ) -> None:
         """Go on to the next frame.
 
@@ -63,7 +63,6 @@ class ViewTracker:
             exposure: Factor on radiance in half-float buffers.
             transparent: Whether the world leaves alpha 0.
             filter_quantiles: Inverse distribution of the pixel filter; None for no jitter.
-            motion_jitter: Share of the jitter while anything moves or changes.
         """
         first = self._camera is None
         still = not first and not moved and not lit and camera.tobytes() == self._camera.tobytes()
@@ -76,8 +75,6 @@ class ViewTracker:
         if filter_quantiles is not None:
             u = (0.5 + JITTER_STEP * self.frame) % 1.0
             jitter = np.interp(u, _steps(len(filter_quantiles)), filter_quantiles).astype(np.float32)
-            if not still and not first:
-                jitter *= np.float32(motion_jitter)
         row = self.row
         row["camera"] = camera
         row["previous"] = camera if first else self._camera

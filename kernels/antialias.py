@@ -2,11 +2,13 @@
 """Temporal anti-aliasing of the composite: an exact running mean at rest, a rectified history in motion.
 
 All camera rays of a frame are offset by the same jitter, drawn from the pixel filter by importance, so the plain mean
-of frames at rest is the filtered picture: nothing else may happen to it. In motion the history is resampled where the
-pixel was in the frame before, limited to what this frame shows around it (variance clipping: Salvi, "An Excursion in
-Temporal Supersampling", GDC 2016) and averaged with a constant weight. That resampling is repeated with every frame,
-so its kernel must pass details undamped: 0.8 Lanczos-3 + 0.2 Catmull-Rom keeps 0.995 to 1.004 of waves of 4 pixels
-and longer; Catmull-Rom alone keeps 0.88 of those of 4 pixels, of which half is left after ten frames.
+of frames at rest is the filtered picture: nothing else may happen to it. In motion a frame's samples are weighed by how
+near to the pixel's centre the jitter has put them (Karis, "High Quality Temporal Supersampling", SIGGRAPH 2014): over
+the few frames that count there the jitter's mean is not 0, and edges would lie beside their place. The history is
+resampled where the pixel was in the frame before, limited to what this frame shows around it (variance clipping: Salvi,
+"An Excursion in Temporal Supersampling", GDC 2016) and averaged with a constant weight. That resampling is repeated
+with every frame, so its kernel must pass details undamped: 0.8 Lanczos-3 + 0.2 Catmull-Rom keeps 0.995 to 1.004 of
+waves of 4 pixels and longer; Catmull-Rom alone keeps 0.88 of those of 4 pixels, of which half is left after ten frames.
 
 While the camera alone moves, surfaces of which the frame before has no sample have a history too: of what is thinner
 than a pixel, as the jitter meets it in some frames only. It was a row of dashes where each of these began anew.
@@ -41,6 +43,9 @@ CLIP_STILL = wp.constant(2.5)
 
 # Display white is 1: light above this is weighed down in motion, where single samples would flicker.
 FIREFLY_LUMA = wp.constant(2.0)
+
+# Bounds the exponents of weights: of jitter as wide as the widest pixel filter.
+WEIGHT_LIMIT = wp.constant(30.0)
 
 LANCZOS_SHARE = wp.constant(0.8)
 
@@ -81,6 +86,8 @@ class Neighborhood:
     mean: wp.vec4
     """Y, Co, Cg, alpha"""
     deviation: wp.vec4
+    filtered: wp.vec4
+    """Red, green, blue, alpha at the pixel's centre, by sample_weights"""
     nearest: int
     """The pixel of the 3x3 that is closest to the camera"""
 
@@ -193,13 +200,29 @@ def resample(image: wp.array[wp.vec4], position: wp.vec2, width: int, height: in
 
 
 @wp.func
+def sample_weights(jitter: wp.vec2, sharpness: float) -> vec6:
+    """Return what this frame's samples weigh for a pixel's centre: of three columns, then of three rows around it.
+
+    By a Gaussian of their distance, exp(-sharpness d^2) by that of the pixel's own sample, which lies `jitter` [px]
+    beside the centre; others lie a pixel further each.
+    """
+    w = vec6()
+    for axis in range(2):
+        w[3 * axis] = wp.exp(wp.min(-sharpness * (1.0 - 2.0 * jitter[axis]), WEIGHT_LIMIT))
+        w[3 * axis + 1] = 1.0
+        w[3 * axis + 2] = wp.exp(wp.min(-sharpness * (1.0 + 2.0 * jitter[axis]), WEIGHT_LIMIT))
+    return w
+
+
+@wp.func
 def gather_neighborhood(
-    color: wp.array[wp.uint64], depth: wp.array[float], x: int, y: int, width: int, height: int,
+    color: wp.array[wp.uint64], depth: wp.array[float], weights: vec6, x: int, y: int, width: int, height: int,
 ) -> Neighborhood:
-    """Gather the statistics of the 3x3 pixels around one."""
+    """Gather the statistics of the 3x3 pixels around one, and their mean with sample_weights."""
     n = Neighborhood()
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     squares = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    filtered = wp.vec4(0.0, 0.0, 0.0, 0.0)
     nearest = y * width + x
     least = depth[nearest]
     for k in range(9):
@@ -209,6 +232,7 @@ def gather_neighborhood(
         v = to_ycocg(unpack_halves(color[pixel]))
         total += v
         squares += wp.cw_mul(v, v)
+        filtered += v * (weights[dx + 1] * weights[dy + 4])
         found = depth[pixel]
         if found < least:
             least = found
@@ -218,6 +242,8 @@ def gather_neighborhood(
     n.deviation = wp.vec4(
         wp.sqrt(wp.max(variance[0], 0.0)), wp.sqrt(wp.max(variance[1], 0.0)), wp.sqrt(wp.max(variance[2], 0.0)),
         wp.sqrt(wp.max(variance[3], 0.0)))
+    n.filtered = from_ycocg(filtered / (
+        (weights[0] + weights[1] + weights[2]) * (weights[3] + weights[4] + weights[5])))
     n.nearest = nearest
     return n
 
@@ -233,25 +259,18 @@ def firefly_weight(c: wp.vec4, around: float) -> float:
 
 
 @wp.func
-def filter_frame(
-    color: wp.array[wp.uint64], jitter: wp.vec2, x: int, y: int, width: int, height: int,
-) -> wp.vec4:
-    """Return this frame's samples around a pixel's centre, weighed by their distance: the filter without history."""
+def filter_frame(color: wp.array[wp.uint64], weights: vec6, x: int, y: int, width: int, height: int) -> wp.vec4:
+    """Return this frame's mean with sample_weights, fireflies weighed down: what is shown without a history."""
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    weights = float(0.0)
+    sum = float(0.0)
     for k in range(9):
         dx = k % 3 - 1
         dy = k // 3 - 1
         c = unpack_halves(color[wp.clamp(y + dy, 0, height - 1) * width + wp.clamp(x + dx, 0, width - 1)])
-        offset = wp.vec2(float(dx), float(dy)) + jitter
-        # A Gaussian of 0.45 px is as wide as the usual pixel filters.
-        w = wp.exp(-2.5 * wp.dot(offset, offset)) * firefly_weight(c, 0.0)
+        w = weights[dx + 1] * weights[dy + 4] * firefly_weight(c, 0.0)
         total += c * w
-        weights += w
-    # A jitter far outside of the pixel leaves next to no weight: the nearest sample is the pixel's own, then.
-    if weights < 1.0e-6:
-        return unpack_halves(color[y * width + x])
-    return total / weights
+        sum += w
+    return total / sum
 
 
 @wp.func
@@ -308,12 +327,14 @@ def antialias(
     height: int,
     enabled: int,
     motion_frames: float,
+    sharpness: float,
     # Out:
     accumulation_out: Accumulation,
 ):
     """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written.
 
-    `color` is pack_halves of colours; in motion the history counts as `motion_frames` frames at most.
+    `color` is pack_halves of colours. In motion the history counts as `motion_frames` frames at most, and `sharpness`
+    is the pixel filter's, 1 / (2 variance) [1/px^2].
     """
     pixel = first + wp.tid()
     view = load_view(views)
@@ -331,7 +352,8 @@ def antialias(
         else:
             x = pixel % width
             y = pixel // width
-            n = gather_neighborhood(color, depth, x, y, width, height)
+            weights = sample_weights(view.jitter, sharpness)
+            n = gather_neighborhood(color, depth, weights, x, y, width, height)
             # Edges move with what is in front: their history is where that was.
             p = position[n.nearest] + wp.vec2(float(x - n.nearest % width), float(y - n.nearest // width))
             still = view.moved_age > MOVED_FRAMES
@@ -339,7 +361,7 @@ def antialias(
             if still and not known:
                 known = p[0] >= 0.0 and p[1] >= 0.0 and p[0] < float(width) and p[1] < float(height)
             if not known or not wp.isfinite(p[0] + p[1]):
-                mean = filter_frame(color, view.jitter, x, y, width, height)
+                mean = filter_frame(color, weights, x, y, width, height)
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(float(previous.samples[old]), picture_limit(view))
@@ -349,8 +371,8 @@ def antialias(
                     clamp_color(resample(previous.color, p, width, height)), n,
                     wp.where(still, CLIP_STILL, CLIP_DEVIATIONS)))
                 around = 1.125 * n.mean[0] - 0.125 * luma(current)
-                w_new = firefly_weight(current, around)
+                w_new = firefly_weight(n.filtered, around)
                 w_old = firefly_weight(history, around) * samples
-                mean = (current * w_new + history * w_old) / (w_new + w_old)
+                mean = (n.filtered * w_new + history * w_old) / (w_new + w_old)
     store_vec4(accumulation_out.color, pixel, mean)
     accumulation_out.samples[pixel] = wp.uint16(wp.min(samples + 1.0, SAMPLES_MAX))

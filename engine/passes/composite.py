@@ -20,7 +20,8 @@ from ...kernels.reflection_types import ReflectionOptions
 from ..device import launch
 from ..frame_graph import FrameGraph
 from ..history import History, arrays_of
-from ..settings import DenoiserSettings
+from ..pixel_filter import filter_table, sharpness_of
+from ..settings import DenoiserSettings, FilmSettings
 
 __all__ = ["LIGHT_PASSES", "CompositePass"]
 
@@ -69,6 +70,9 @@ class CompositePass:
         self.width = self.height = 0
         self.motion_frames = MOTION_FRAMES
         """As how many frames the picture's history counts while something moves; before frames are recorded"""
+        film = FilmSettings()
+        self.sharpness = sharpness_of(filter_table(film.pixel_filter, film.filter_width))
+        """Of the pixel filter, see antialias.antialias; before frames are recorded"""
         self._seen: wp.array | None = None
         self._inputs: dict[int, tuple] = {}
         """What compose() was recorded with for each parity: debug views read the same"""
@@ -160,7 +164,8 @@ class CompositePass:
             antialias.antialias, count,
             [views, seen.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps,
              mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing),
-             self.motion_frames],
+             self.motion_frames,
+             self.sharpness],
             [accumulated])
         return accumulated.color
 

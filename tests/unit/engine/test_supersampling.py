@@ -23,8 +23,6 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 from burnish.engine.supersampling import Supersampling, fine_width
-from burnish.engine.view_data import JITTER_STEP, ViewTracker
-from burnish.kernels.types import FrameData
 
 from tests import scenes
 
@@ -157,44 +155,17 @@ def test_a_picture_at_rest_takes_samples_in(doubled: None) -> None:
     assert np.abs(blended - truth).mean() < 0.04 * truth.mean()
 
 
-def test_jitter_is_halved_in_motion() -> None:
-    """Draw larger frames with half the jitter while the camera moves, and with all of it at rest."""
-    views, camera = ViewTracker("cpu"), np.zeros(1, FrameData.numpy_dtype())
-    table = np.linspace(-1.0, 1.0, 65, dtype=np.float32)
-    full, found = [], []
-    for frame, moved in enumerate((False, False, True, True, False)):
-        camera["pixel_size"] += float(moved)
-        views.advance(camera, moved=False, lit=False, exposure=1.0, transparent=False, filter_quantiles=table,
-                      motion_jitter=0.5)
-        full.append(np.interp((0.5 + JITTER_STEP * frame) % 1.0, np.linspace(0.0, 1.0, 65), table))
-        found.append(views.row["jitter"][0].copy())
-    np.testing.assert_allclose(found, np.array(full) * np.array([1.0, 1.0, 0.5, 0.5, 1.0])[:, None], atol=1e-6)
-
-
-def test_frames_in_motion_lie_in_their_place(doubled: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Come nearer to the truth in motion than with the history and the jitter of frames of the picture's size."""
-    truth = fly(0, 64)
-    found = fly(12, 0)
-    monkeypatch.setattr(supersampling, "MOTION_JITTER", 1.0)
-    monkeypatch.setattr(supersampling, "MOTION_FRAMES", MOTION_FRAMES)
-    before = fly(12, 0)
-    errors = [np.square(picture - truth).mean() for picture in (found, before)]
-    assert errors[0] < 0.9 * errors[1], errors
-
-
-def fly(moving: int, rest: int) -> np.ndarray:
-    """Return a picture of black squares before a white sky after frames of a pan, and then at rest where it ends."""
-    objects = [("square", scenes.place(0.4 * i - 1.0, 0.37 * j - 0.8), "black") for i in range(6) for j in range(5)]
-    session = Session(FRAMES)
-    session.update(scenes.delta(
-        {"square": scenes.quad(0.12)}, objects, {"black": scenes.material("DIFFUSE", color=0.0)}, [], 1.0))
-    for step in range(-moving, 1):
-        place = scenes.place(0.013 * step, 0.007 * step, 3.0)
-        camera = dataclasses.replace(
-            scenes.camera_above(3.0, 1.0, orthographic=False), transform=tuple(place.ravel()))
-        session.configure(FRAMES, camera, W, H, None, ("Combined",))
-        session.step(1)
-    session.step(rest)
-    picture = session.read("Combined")[..., :3]
+@pytest.mark.parametrize("film", FILTERS)
+def test_motion_is_filtered_as_rest(film: FilmSettings, doubled: None) -> None:
+    """Weigh samples in motion by the filter that the jitter is drawn from, over fewer frames where these are larger."""
+    settings = dataclasses.replace(FRAMES, film=film)
+    session = Session(settings)
+    session.update(scenes.delta({"floor": scenes.quad()}, [("floor", scenes.place(), "white")],
+                                {"white": scenes.material("DIFFUSE", color=0.8)}, [], 1.0))
+    session.configure(settings, scenes.camera_above(), W, H)
+    session.step(1)
+    composite = session.pipeline.composite
+    width = film.filter_width if film.pixel_filter == PixelFilter.BOX else fine_width(film, 2)
+    assert 1.0 / (2.0 * composite.sharpness) == pytest.approx(filter_table(film.pixel_filter, width).var(), rel=1e-4)
+    assert composite.motion_frames == supersampling.MOTION_FRAMES < MOTION_FRAMES
     session.close()
-    return picture

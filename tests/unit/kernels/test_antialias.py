@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.pixel_filter import filter_table
+from burnish.engine.passes.composite import MOTION_FRAMES
+from burnish.engine.pixel_filter import filter_table, sharpness_of
 from burnish.engine.settings import PixelFilter
 from burnish.kernels import antialias, debug_colors
 from burnish.kernels.antialias import Accumulation
@@ -16,6 +17,7 @@ from burnish.kernels.view import View
 
 W, H = 48, 32
 TABLE = filter_table(PixelFilter.BLACKMAN_HARRIS, 1.5)
+SHARPNESS = sharpness_of(TABLE)
 ALL_TAPS = 15
 
 
@@ -34,8 +36,9 @@ def centers() -> tuple[np.ndarray, np.ndarray]:
 class Frames:
     """Runs frames of W x H pixels through the kernel, `settled` frames after the integrator's start."""
 
-    def __init__(self, device: str, settled: int = 1 << 20):
+    def __init__(self, device: str, settled: int = 1 << 20, sharpness: float = SHARPNESS):
         self.device = device
+        self.sharpness = sharpness
         self.settled = settled
         self.frame = -1
         self.buffers = [self._make(), self._make()]
@@ -65,7 +68,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, 9.0]
+        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, MOTION_FRAMES, self.sharpness]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
@@ -105,6 +108,26 @@ def test_rest_is_the_exact_pixel_filter(device):
     # Discrepancy of 256 points of the sequence, and of the grid.
     np.testing.assert_allclose(picture[..., 0], filtered(checker, 0.0), atol=0.02)
     assert (frames.samples == 256).all()
+
+
+@pytest.mark.parametrize(("step", "limit"), [(0.06, 0.016), (0.37, 0.016)])
+def test_edges_lie_in_their_place_in_motion(device, step, limit):
+    """Show leaning edges as the pixel filter does, though a frame's samples all lie to one side of the centres.
+
+    The bare sample of each frame would be 0.025 off in slow motion, 0.023 in fast.
+    """
+    def bars(x, y):
+        return np.where((x + 3.3 * y) % 12.0 < 6.0, 0.8, 0.2)
+
+    frames, errors = Frames(device), []
+    x, y = centers()
+    for k in range(60):
+        j, shift = jitter_of(k), step * k
+        picture = frames.add(opaque(bars(x + j[0] - shift, y + j[1])), rest=0, motion=(step, 0.0), jitter=tuple(j),
+                             restart=int(k == 0), moved_age=1 << 20)
+        if k >= 40 and k % 4 == 0:
+            errors.append(np.abs(picture[..., 0] - filtered(bars, shift, 24))[4:-4, 20:-4].mean())
+    assert np.mean(errors) < limit
 
 
 @pytest.mark.parametrize("step", [0.37, 0.5, 1.0])
