@@ -9,7 +9,7 @@ import numpy as np
 
 from .settings import PixelFilter
 
-__all__ = ["filter_table", "sharpness_of"]
+__all__ = ["filter_table", "motion_reach", "sharpness_of"]
 
 ENTRIES = 1025
 
@@ -41,3 +41,8 @@ def filter_table(kind: PixelFilter, width: float) -> np.ndarray:
 def sharpness_of(table: np.ndarray) -> float:
     """Return 1 / (2 variance) [1/px^2] of a filter_table: a Gaussian exp(-sharpness d^2) is as wide."""
     return 0.5 / max(float(np.var(table)), LEAST_VARIANCE)
+
+
+def motion_reach(table: np.ndarray) -> float:
+    """Return the half width [px] over which frames in motion spread their samples: the pixel, or a narrower filter."""
+    return min(0.5, float(np.std(table)) * 3.0 ** 0.5)

@@ -31,7 +31,7 @@ from .passes.radiance_cache import smallest_cell
 from .passes.reference import ReferencePass
 from .passes.rest import SETTLING, TURN, RestBlend
 from .pipeline import Pipeline
-from .pixel_filter import filter_table, sharpness_of
+from .pixel_filter import filter_table, motion_reach, sharpness_of
 from .ray_budget import densified
 from .scene import CameraData
 from .settings import FRAME_GROUPS, CacheKey, Integrator, RenderSettings
@@ -121,6 +121,7 @@ class Realtime:
         self._film = None
         supersampling.configure(settings, width, height)
         self._quantiles = supersampling.quantiles(film)
+        self._motion_reach = motion_reach(self._quantiles)
         self._empty_pipeline()
         self._blend.resize(width, height)
         self.restart()
@@ -134,7 +135,6 @@ class Realtime:
         self.pipeline.configure(
             densified(self._settings, *fine, self.device, factor, seen=not self._traced_alone), *fine[:2],
             self._light_passes)
-        self.pipeline.composite.motion_frames = self._supersampling.motion_frames
         self.pipeline.composite.sharpness = sharpness_of(self._quantiles)
 
     def restart(self) -> None:
@@ -243,7 +243,8 @@ class Realtime:
         self.views.advance(
             camera, moved=self._moved, lit=self._lit, exposure=settings.film.exposure,
             transparent=settings.film.transparent,
-            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None)
+            filter_quantiles=self._quantiles if settings.denoiser.antialiasing else None,
+            motion_reach=self._motion_reach)
         self._moved = self._lit = False
         self.pipeline.frame(scene, self.views, timed=self.timed, unseen=unseen)
         self.frames += 1

@@ -14,7 +14,6 @@ import warp as wp
 
 from ..kernels import supersampling
 from .device import launch
-from .passes import composite
 from .pixel_filter import filter_table
 from .ray_budget import is_small
 from .settings import FilmSettings, PixelFilter, RenderSettings
@@ -23,10 +22,6 @@ __all__ = ["Supersampling"]
 
 FACTOR = 2
 """Pixels of a frame along each side of a pixel of the picture"""
-
-MOTION_FRAMES = 5.0
-"""As how many frames the history of larger frames counts in motion (passes/composite.py): each has four samples for a
-pixel of the picture"""
 
 LEAST_JITTER = 0.1
 """Share of the filter's variance that must be left to the jitter: less would leave gaps between the samples"""
@@ -67,11 +62,6 @@ class Supersampling:
         """
         width = film.filter_width if self.factor == 1 else fine_width(film, self.factor)
         return filter_table(film.pixel_filter, width)
-
-    @property
-    def motion_frames(self) -> float:
-        """As how many frames the history of anti-aliasing counts in motion."""
-        return composite.MOTION_FRAMES if self.factor == 1 else MOTION_FRAMES
 
     def average(self, picture: wp.array) -> wp.array:
         """Return what frames show, vec3 or vec4, at the picture's size [h * w]; itself where that is the same."""

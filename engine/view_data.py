@@ -52,7 +52,7 @@ class ViewTracker:
 
     def advance(
         self, camera: np.ndarray, *, moved: bool, lit: bool, exposure: float, transparent: bool,
-        filter_quantiles: np.ndarray | None,
+        filter_quantiles: np.ndarray | None, motion_reach: float = 0.5,
     ) -> None:
         """Go on to the next frame.
 
@@ -63,6 +63,7 @@ class ViewTracker:
             exposure: Factor on radiance in half-float buffers.
             transparent: Whether the world leaves alpha 0.
             filter_quantiles: Inverse distribution of the pixel filter; None for no jitter.
+            motion_reach: Half width [px] over which jitter is spread evenly in motion, see pixel_filter.motion_reach.
         """
         first = self._camera is None
         still = not first and not moved and not lit and camera.tobytes() == self._camera.tobytes()
@@ -74,7 +75,11 @@ class ViewTracker:
         jitter = np.zeros(2, np.float32)
         if filter_quantiles is not None:
             u = (0.5 + JITTER_STEP * self.frame) % 1.0
-            jitter = np.interp(u, _steps(len(filter_quantiles)), filter_quantiles).astype(np.float32)
+            if still or first:
+                jitter = np.interp(u, _steps(len(filter_quantiles)), filter_quantiles).astype(np.float32)
+            else:
+                # The anti-aliasing weighs samples by the filter then (kernels/antialias.py).
+                jitter = (motion_reach * (2.0 * u - 1.0)).astype(np.float32)
         row = self.row
         row["camera"] = camera
         row["previous"] = camera if first else self._camera

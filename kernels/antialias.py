@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Temporal anti-aliasing of the composite: an exact running mean at rest, a rectified history in motion.
 
-All camera rays of a frame are offset by the same jitter, drawn from the pixel filter by importance, so the plain mean
-of frames at rest is the filtered picture: nothing else may happen to it. In motion a frame's samples are weighed by how
-near to the pixel's centre the jitter has put them (Karis, "High Quality Temporal Supersampling", SIGGRAPH 2014): over
-the few frames that count there the jitter's mean is not 0, and edges would lie beside their place. The history is
-resampled where the pixel was in the frame before, limited to what this frame shows around it (variance clipping: Salvi,
-"An Excursion in Temporal Supersampling", GDC 2016) and averaged with a constant weight. That resampling is repeated
-with every frame, so its kernel must pass details undamped: 0.8 Lanczos-3 + 0.2 Catmull-Rom keeps 0.995 to 1.004 of
-waves of 4 pixels and longer; Catmull-Rom alone keeps 0.88 of those of 4 pixels, of which half is left after ten frames.
+All camera rays of a frame are offset by the same jitter. At rest it is drawn from the pixel filter by importance, so
+the plain mean of frames is the filtered picture: nothing else may happen to it. In motion, where a few frames count and
+the mean of their jitter is not 0, edges would lie beside their place: there frames sample all of the pixel alike, and
+the samples around its centre are weighed by the filter (Karis, "High Quality Temporal Supersampling", SIGGRAPH 2014).
+The history is resampled where the pixel was in the frame before, limited to what this frame shows around it (variance
+clipping: Salvi, "An Excursion in Temporal Supersampling", GDC 2016) and averaged with a constant weight. That
+resampling is repeated with every frame, so its kernel must pass details undamped: 0.8 Lanczos-3 + 0.2 Catmull-Rom keeps
+0.995 to 1.004 of waves of 4 pixels and longer; Catmull-Rom alone keeps 0.88 of those of 4 pixels, of which half is left
+after ten frames.
 
 While the camera alone moves, surfaces of which the frame before has no sample have a history too: of what is thinner
 than a pixel, as the jitter meets it in some frames only. It was a row of dashes where each of these began anew.
@@ -32,8 +33,10 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # A colour is no firefly up to so many times the mean luma of the pixels around it.
 VEILED = wp.constant(4.0)
 
-# Frames that the history counts as once a picture comes to rest: what motion left fades, noise grows by a quarter at
-# most.
+# Frames that the history counts as in motion: the weight of a new frame, which is a mean of nine samples, falls to 1/6.
+MOTION_SAMPLES = wp.constant(5.0)
+
+# ... and once it comes to rest: what motion left fades, but noise grows by a quarter at most.
 FIRST_REST_SAMPLES = wp.constant(4.0)
 
 # Half the size of the box around the neighbourhood's mean, in standard deviations: while things move, and while the
@@ -293,23 +296,21 @@ def clamp_color(c: wp.vec4) -> wp.vec4:
 
 
 @wp.func
-def mirrored_limit(
-    mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int, motion_frames: float,
-) -> float:
+def mirrored_limit(mirrors: Mirrors, position: wp.vec2, taps: wp.uint8, pixel: int) -> float:
     """Return as how many frames the history may count by what a mirror shows: few where that is something new.
 
     The mean of its reflection has been made anew there (reflection_temporal.renewed), which a camera that moves leaves
     alone. Whatever moves in a mirror would be smeared: the surface's motion is not its image's.
     """
     if mirrors.known <= 0.0 or only_camera_moved(position, taps):
-        return motion_frames
+        return MOTION_SAMPLES
     if unpack_roughness(mirrors.material[pixel]) > DISTANCE_ROUGHNESS:
-        return motion_frames
+        return MOTION_SAMPLES
     length = wp.abs(unpack_halves(mirrors.state[pixel])[0])
     if length <= 0.0:
-        return motion_frames
+        return MOTION_SAMPLES
     known = wp.clamp((length - RENEWED_LENGTH) / wp.max(mirrors.known - RENEWED_LENGTH, 1.0e-3), 0.0, 1.0)
-    return motion_frames * known * known
+    return MOTION_SAMPLES * known * known
 
 
 @wp.kernel(cuda_max_registers=56)
@@ -326,15 +327,13 @@ def antialias(
     width: int,
     height: int,
     enabled: int,
-    motion_frames: float,
     sharpness: float,
     # Out:
     accumulation_out: Accumulation,
 ):
     """Average this frame with those before. At rest 26 bytes read a pixel, in motion 38 (once cached); 18 written.
 
-    `color` is pack_halves of colours. In motion the history counts as `motion_frames` frames at most, and `sharpness`
-    is the pixel filter's, 1 / (2 variance) [1/px^2].
+    `color` is pack_halves of colours; `sharpness` is the pixel filter's, 1 / (2 variance) [1/px^2].
     """
     pixel = first + wp.tid()
     view = load_view(views)
@@ -365,8 +364,7 @@ def antialias(
             else:
                 old = wp.clamp(int(p[1]), 0, height - 1) * width + wp.clamp(int(p[0]), 0, width - 1)
                 samples = wp.min(float(previous.samples[old]), picture_limit(view))
-                samples = wp.min(
-                    samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel, motion_frames))
+                samples = wp.min(samples, mirrored_limit(mirrors, position[pixel], taps[pixel], pixel))
                 history = clamp_color(rectify(
                     clamp_color(resample(previous.color, p, width, height)), n,
                     wp.where(still, CLIP_STILL, CLIP_DEVIATIONS)))

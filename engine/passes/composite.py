@@ -28,9 +28,6 @@ __all__ = ["LIGHT_PASSES", "CompositePass"]
 PASS_LOBES = {
     "Diffuse": composite.PASS_DIFFUSE, "Glossy": composite.PASS_GLOSSY, "Transmission": composite.PASS_TRANSMISSION,
 }
-MOTION_FRAMES = 9.0
-"""As how many frames the history of anti-aliasing counts in motion: the weight of a new frame falls to 0.1"""
-
 PASS_PARTS = ("Direct", "Indirect", "Color")
 """In the order of composite.resolve_light_passes' outputs"""
 
@@ -68,8 +65,6 @@ class CompositePass:
         self.lobes = tuple(sorted({name.partition(" ")[0] for name in light_passes}))
         """Whose light passes are kept: keys of PASS_LOBES"""
         self.width = self.height = 0
-        self.motion_frames = MOTION_FRAMES
-        """As how many frames the picture's history counts while something moves; before frames are recorded"""
         film = FilmSettings()
         self.sharpness = sharpness_of(filter_table(film.pixel_filter, film.filter_width))
         """Of the pixel filter, see antialias.antialias; before frames are recorded"""
@@ -164,7 +159,6 @@ class CompositePass:
             antialias.antialias, count,
             [views, seen.view(wp.uint64), gbuffer.depth, reprojection.position, reprojection.taps,
              mirrors or Mirrors(), before, self.width, self.height, int(self.settings.antialiasing),
-             self.motion_frames,
              self.sharpness],
             [accumulated])
         return accumulated.color

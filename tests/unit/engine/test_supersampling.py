@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine import supersampling
-from burnish.engine.passes.composite import MOTION_FRAMES
-from burnish.engine.pixel_filter import filter_table
+from burnish.engine.pixel_filter import filter_table, motion_reach
 from burnish.engine.scene import LightKind
 from burnish.engine.session import Session
 from burnish.engine.settings import (
@@ -23,6 +22,8 @@ from burnish.engine.settings import (
     SamplingSettings,
 )
 from burnish.engine.supersampling import Supersampling, fine_width
+from burnish.engine.view_data import ViewTracker
+from burnish.kernels.types import FrameData
 
 from tests import scenes
 
@@ -157,7 +158,7 @@ def test_a_picture_at_rest_takes_samples_in(doubled: None) -> None:
 
 @pytest.mark.parametrize("film", FILTERS)
 def test_motion_is_filtered_as_rest(film: FilmSettings, doubled: None) -> None:
-    """Weigh samples in motion by the filter that the jitter is drawn from, over fewer frames where these are larger."""
+    """Weigh samples in motion by the filter that the jitter is drawn from at rest, of larger frames too."""
     settings = dataclasses.replace(FRAMES, film=film)
     session = Session(settings)
     session.update(scenes.delta({"floor": scenes.quad()}, [("floor", scenes.place(), "white")],
@@ -167,5 +168,23 @@ def test_motion_is_filtered_as_rest(film: FilmSettings, doubled: None) -> None:
     composite = session.pipeline.composite
     width = film.filter_width if film.pixel_filter == PixelFilter.BOX else fine_width(film, 2)
     assert 1.0 / (2.0 * composite.sharpness) == pytest.approx(filter_table(film.pixel_filter, width).var(), rel=1e-4)
-    assert composite.motion_frames == supersampling.MOTION_FRAMES < MOTION_FRAMES
     session.close()
+
+
+@pytest.mark.parametrize("film", FILTERS)
+def test_frames_in_motion_sample_all_of_the_pixel_alike(film: FilmSettings) -> None:
+    """Draw jitter from the filter at rest, and evenly from the pixel, or what is narrower, while a camera moves."""
+    table = filter_table(film.pixel_filter, film.filter_width)
+    views, camera, found = ViewTracker("cpu"), np.zeros(1, FrameData.numpy_dtype()), {False: [], True: []}
+    for frame in range(2048):
+        moved = frame >= 1024
+        camera["pixel_size"] += float(moved)
+        views.advance(camera, moved=False, lit=False, exposure=1.0, transparent=False, filter_quantiles=table,
+                      motion_reach=motion_reach(table))
+        found[moved].append(views.row["jitter"][0].copy())
+    rest, motion = np.array(found[False]), np.array(found[True])
+    reach = min(0.5, np.sqrt(3.0) * table.std())
+    for axis in range(2):
+        assert rest[:, axis].std() == pytest.approx(table.std(), rel=0.05)
+        assert np.abs(rest[:, axis]).max() > 0.6 * np.abs(table).max()
+        np.testing.assert_allclose(np.sort(motion[:, axis]), np.linspace(-reach, reach, 1024), atol=0.01)

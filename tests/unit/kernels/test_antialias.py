@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.passes.composite import MOTION_FRAMES
 from burnish.engine.pixel_filter import filter_table, sharpness_of
 from burnish.engine.settings import PixelFilter
 from burnish.kernels import antialias, debug_colors
@@ -68,7 +67,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, MOTION_FRAMES, self.sharpness]
+        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, self.sharpness]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
@@ -230,8 +229,9 @@ def test_mirrors_that_show_something_new_take_no_history(device):
             frames.add(opaque(checker(x, y)), rest=0, mirrors=None)
         frames.add(opaque(checker(x, y)), rest=0, motion=(motion, 0.0), taps=ALL_TAPS | moved, mirrors=mirrors)
         samples = frames.samples
-        assert (samples[:, W // 2:] > 8).all() and (samples[H // 2:] > 8).all()
-        assert (samples[: H // 2, : W // 2] == 1).all() if new else (samples > 8).all()
+        full = float(antialias.MOTION_SAMPLES) + 1.0
+        assert (samples[:, W // 2:] == full).all() and (samples[H // 2:] == full).all()
+        assert (samples[: H // 2, : W // 2] == (1.0 if new else full)).all()
 
 
 @pytest.mark.parametrize("moved_age", [0, 1000])
