@@ -23,9 +23,6 @@ GL_TEXTURE_2D = 0x0DE1
 GL_TEXTURE_1D = 0x0DE0
 GL_TEXTURE_3D = 0x806F
 
-PICTURES = 4
-"""Whose packing is kept recorded: those of even and odd frames, the film, and a denoised one"""
-
 RING = 3
 """Device pictures in turn: one being drawn, the newest, and the one being written."""
 
@@ -45,8 +42,8 @@ class PictureReader:
     def __init__(self, device: str):
         self.device = device
         self._packed: wp.array | None = None
-        self._packing: dict[int, wp.Launch] = {}
-        """By the address of the picture: frames take turns with two, and a launch takes longer than all else here"""
+        self._packing: wp.Launch | None = None
+        """Recorded: to launch anew takes longer than all else here"""
         self._pages = PicturePages()
         self._ring: list[wp.array] = []
         self._turn = 0
@@ -64,11 +61,9 @@ class PictureReader:
         count = width * height
         if self._packed is None or self._packed.size != count:
             self._packed = wp.empty(count, dtype=wp.uint32, device=self.device)
-            self._packing = {}
-        if picture.ptr not in self._packing:
-            self._packing = dict(list(self._packing.items())[-PICTURES + 1:])
-            self._packing[picture.ptr] = record(display.pack_picture, [picture], [self._packed], self.device, count)
-        self._packing[picture.ptr].launch()
+            self._packing = record(display.pack_picture, [picture], [self._packed], self.device, count)
+        self._packing.set_param_by_name("picture", picture)
+        self._packing.launch()
         return self._pages.read(self._packed).view(np.float32).reshape(height, width)
 
     def on_device(self, picture: wp.array, width: int, height: int) -> DevicePicture:

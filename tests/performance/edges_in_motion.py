@@ -16,7 +16,6 @@ import importlib
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -24,13 +23,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
-from burnish.engine import supersampling  # noqa: E402
 from burnish.engine.image_error import compare  # noqa: E402
 from burnish.engine.measure_moving import fly_over  # noqa: E402
 from burnish.engine.scene import CameraData  # noqa: E402
-from burnish.engine.supersampling import Supersampling  # noqa: E402
 
+from tests.larger_frames import draw_larger  # noqa: E402
 from tests.performance.blend_scene import BlendScene  # noqa: E402
+from tests.performance.matte_copy import take_over  # noqa: E402
 from tests.performance.measured_session import Measured, attempt, positions_of, settings_for  # noqa: E402
 
 COLORED = {'BSDF_PRINCIPLED': "Base Color", 'BSDF_DIFFUSE': "Color", 'BSDF_GLOSSY': "Color", 'BSDF_GLASS': "Color"}
@@ -57,10 +56,8 @@ def make_unlit() -> None:
         source = next((node for node in tree.nodes if node.type in COLORED), None)
         color = source and source.inputs[COLORED[source.type]]
         emission.inputs["Strength"].default_value = 1.0 if color else BRIGHT
-        if color and color.is_linked:
-            tree.links.new(color.links[0].from_socket, emission.inputs["Color"])
-        elif color:
-            emission.inputs["Color"].default_value = color.default_value
+        if color:
+            take_over(tree, color, emission.inputs["Color"])
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
     for item in bpy.data.objects:
         if item.type == 'LIGHT':
@@ -73,19 +70,6 @@ def slowed(cameras: list[CameraData], factor: float) -> list[CameraData]:
     here = np.array(cameras[MIDDLE].transform)
     step = (here - np.array(cameras[MIDDLE - 1].transform)) / factor
     return [replace(cameras[MIDDLE], transform=tuple(here + step * (i - MIDDLE))) for i in range(len(cameras))]
-
-
-def draw_larger() -> None:
-    """Draw small pictures as on a GPU, on any device."""
-    configure = Supersampling.configure
-
-    def on_gpu(self: Supersampling, *arguments: Any) -> None:
-        self.device, device = "cuda:0", self.device
-        configure(self, *arguments)
-        self.device = device
-
-    Supersampling.configure = on_gpu
-    supersampling.is_small = lambda width, height: True
 
 
 def measure(file: Path, options: argparse.Namespace) -> None:

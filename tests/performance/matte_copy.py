@@ -45,15 +45,19 @@ def fix(tree: Any, node: Any, name: str, value: float) -> bool:
     return True
 
 
+def take_over(tree: Any, source: Any, target: Any) -> None:
+    """Give an input what another one has: its link, or else its value."""
+    if source.is_linked:
+        tree.links.new(source.links[0].from_socket, target)
+    else:
+        target.default_value = source.default_value
+
+
 def replace_glass(tree: Any, glass: Any) -> None:
     """Put a rough dielectric of the same colour in the place of a Glass or Refraction BSDF."""
     new = tree.nodes.new("ShaderNodeBsdfPrincipled")
     for old_name, new_name in (("Color", "Base Color"), ("Normal", "Normal")):
-        source, target = glass.inputs[old_name], new.inputs[new_name]
-        if source.links:
-            tree.links.new(source.links[0].from_socket, target)
-        elif old_name == "Color":
-            target.default_value = source.default_value
+        take_over(tree, glass.inputs[old_name], new.inputs[new_name])
     new.inputs["Roughness"].default_value = ROUGHNESS
     for link in list(glass.outputs[0].links):
         tree.links.new(new.outputs[0], link.to_socket)

@@ -26,6 +26,7 @@ from burnish.engine.view_data import ViewTracker
 from burnish.kernels.types import FrameData
 
 from tests import scenes
+from tests.larger_frames import draw_larger
 
 W, H = 64, 40
 FRAMES = dataclasses.replace(
@@ -38,15 +39,7 @@ FILTERS = [FilmSettings(), FilmSettings(pixel_filter=PixelFilter.GAUSSIAN, filte
 @pytest.fixture
 def doubled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw small pictures on a processor as on a GPU."""
-    configure = Supersampling.configure
-
-    def on_gpu(self: Supersampling, settings: RenderSettings, width: int, height: int) -> None:
-        self.device, device = "cuda:0", self.device
-        configure(self, settings, width, height)
-        self.device = device
-
-    monkeypatch.setattr(Supersampling, "configure", on_gpu)
-    monkeypatch.setattr(supersampling, "is_small", lambda width, height: True)
+    draw_larger(monkeypatch.setattr)
 
 
 def render(device_settings: RenderSettings, frames: int, names: tuple[str, ...] = ("Combined",),

@@ -35,9 +35,8 @@ def centers() -> tuple[np.ndarray, np.ndarray]:
 class Frames:
     """Runs frames of W x H pixels through the kernel, `settled` frames after the integrator's start."""
 
-    def __init__(self, device: str, settled: int = 1 << 20, sharpness: float = SHARPNESS):
+    def __init__(self, device: str, settled: int = 1 << 20):
         self.device = device
-        self.sharpness = sharpness
         self.settled = settled
         self.frame = -1
         self.buffers = [self._make(), self._make()]
@@ -67,7 +66,7 @@ class Frames:
             wp.array(position.reshape(-1, 2), dtype=wp.vec2, device=self.device),
             wp.array(np.broadcast_to(taps, (H, W)).astype(np.uint8).ravel(), dtype=wp.uint8, device=self.device),
         ]
-        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, self.sharpness]
+        inputs += [mirrors or antialias.Mirrors(), old, W, H, enabled, SHARPNESS]
         wp.launch(antialias.antialias, W * H, [0, *inputs], [new], device=self.device)
         return new.color.numpy().reshape(H, W, 4)
 
