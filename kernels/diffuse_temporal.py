@@ -135,6 +135,8 @@ def gather_diffuse(
     if total > TAP_MINIMUM:
         scale = 1.0 / total
         m = with_state(m, state * scale)
+        # The shorter the less of the place is known (long_mean.py).
+        m.length *= total
         wide = complete and surrounded(gbuffer, place, width, height)
         m.irradiance = gather_mean(history.irradiance, place, weights * scale, complete, wide, SMOOTH, width, height)
     return m

@@ -171,8 +171,9 @@ def gather_direct(
         m.moments = moments * scale
         # Of any one: as a factor on all of a pixel's weights it matters little.
         m.albedo = unpack_unorm16(history.albedo[valid_tap(place, taps, nearest_tap(position), width, own)])
+        # The shorter the less of the place is known (long_mean.py).
         m.length = wp.dot(wp.vec4(
-            wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2]), wp.abs(lengths[3])), weights) * scale
+            wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2]), wp.abs(lengths[3])), weights)
         wide = complete and surrounded(gbuffer, place, width, height)
         m.diffuse = gather_mean(history.diffuse, place, weights * scale, complete, wide, SHARP, width, height)
         m.specular = gather_mean(history.specular, place, weights * scale, complete, wide, SHARP, width, height)

@@ -3,6 +3,11 @@
 
 A half-float has 11 significant bits: from some 500 samples on, the mean's change is lost in rounding. Light is never
 negative and its exponents are few, so 21 bits hold 6 of exponent and 16 significant ones.
+
+A mean counts for the frames that it is of times the share of the place that is known (bilinear weights of the taps that
+show the surface). A pixel at the picture's edge, or beside something nearer, reads its own mean again while surfaces
+pass below it by a part of a pixel a frame: were that taken for what is known of all of the place, it would show the
+light of where they have been for as many frames as a mean is of, and hand it on.
 """
 
 from __future__ import annotations

@@ -40,9 +40,10 @@ LIGHT_FRAMES = wp.constant(12)
 # Frames after an edit of the light during which probes that still hold the light from before tell nothing.
 OUTDATED_FRAMES = wp.constant(32)
 
-# Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where surfaces
-# are so cut up that probes are made anew in every frame, that error would never end. At rest none: time removes noise.
-FRESH_UPDATES = wp.constant(4.0)
+# Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where the camera
+# turns to new surfaces each column of probes asks the one before, so that light would run along a wall. It fills cells
+# that no ray has met yet and takes a fifth of the noise. At rest none: time removes noise.
+FRESH_UPDATES = wp.constant(0.25)
 
 # That many times as far off as they are from the new one must be what they see, or their light counts for less, by the
 # square: cells are wide, and who comes away from a window still finds it in the same cell, as bright. Where the camera

@@ -16,6 +16,7 @@ from .probe_gather import neighbour_tile, related_probe
 from .probe_map import band_weight, cell_center, cell_of, to_local
 from .probe_rays import ProbeRays
 from .probe_spawn import probe_cell
+from .probe_turns import is_flight
 from .probe_types import BANDS, CELLS, FAR, NO_CELL, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project
 from .wide_loads import load_vec4h, load_view
@@ -66,13 +67,16 @@ def smooth_probes(
     first: int,
     # In:
     grid: ProbeGrid,
+    views: wp.array[View],
     pool: ProbePool,
     # Out:
     updates_out: ProbeUpdates,
 ):
     """Average a cell with the neighbours' cells of the same direction where they see the same point.
 
-    The nearer of the two distances judges, so an occluder near either side stops it.
+    The nearer of the two distances judges, so an occluder near either side stops it. A neighbour on one side alone
+    carries the light's gradient in: it weighs little, and nothing in motion, where what comes into view has neighbours
+    on one side, which have such themselves.
     """
     index = first + wp.tid()
     update = index // CELLS
@@ -86,20 +90,18 @@ def smooth_probes(
         position = pool.position[slot]
         direction = to_frame(unpack_normal(pool.normal[slot]), cell_center(index % CELLS))
         share = SMOOTH_UPDATES / (SMOOTH_UPDATES + pool.count[slot])
+        alone = wp.where(is_flight(views[0]), 0.0, share * share * share)
         i = int(0)
         while i < 9:
             other = updates_out.neighbor[update * 9 + i]
-            if other >= 0:
+            w = wp.where(updates_out.neighbor[update * 9 + 8 - i] >= 0, share, alone)
+            if other >= 0 and w > 0.0:
                 local = to_local(unpack_normal(pool.normal[other]), direction)
                 if local[2] > 0.0:
                     value = from_half(load_vec4h(pool.radiance, other * CELLS + cell_of(local)))
                     near = wp.min(value[3], own[3])
                     seen = pool.position[other] + direction * near - position
                     if near >= FAR or wp.dot(seen, direction) > SMOOTH_COSINE * wp.length(seen):
-                        w = share
-                        # On one side alone, a neighbour carries the light's gradient in.
-                        if updates_out.neighbor[update * 9 + 8 - i] < 0:
-                            w = share * share * share
                         total = total + rgb(value) * w
                         weight = weight + w
             i = i + 1

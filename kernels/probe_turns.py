@@ -44,9 +44,15 @@ def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
 
 
 @wp.func
+def is_flight(view: View) -> bool:
+    """Return whether something moves, in light that has spread."""
+    return view.rest == 0 and settling_frames(view) >= SETTLED_FRAMES
+
+
+@wp.func
 def turn_interval(grid: ProbeGrid, view: View) -> int:
     """Return of how many frames an update that may wait has one; 1: none waits, as at rest and while light spreads."""
-    return wp.where(view.rest > 0 or settling_frames(view) < SETTLED_FRAMES, 1, grid.interval)
+    return wp.where(is_flight(view), grid.interval, 1)
 
 
 @wp.func

@@ -113,12 +113,11 @@ def with_reflection_state(m: ReflectionMean, state: wp.vec4) -> ReflectionMean:
 @wp.func
 def gather_reflection(
     history: ReflectionHistory, gbuffer: GBuffer, position: wp.vec2, taps: wp.uint8, own: int, sharp: bool, width: int,
-    height: int, strict: float,
+    height: int,
 ) -> ReflectionMean:
     """Return the mean of the frame before at a place (for pixel `own`); its length is 0 where there is none.
 
-    With `strict`, 0..1, it is the shorter the less of the place is known: where an image comes into a mirror over its
-    edge, bit by bit, the pixels at the edge would keep a mean of all that has passed there.
+    It is the shorter the less of the place is known (long_mean.py).
     """
     m = no_reflection()
     if not off_centre(position):
@@ -156,7 +155,7 @@ def gather_reflection(
         m.changed = wp.where(changed > 0.25 * total, 1, 0)
         wide = complete and surrounded(gbuffer, place, width, height)
         m.light = gather_mean(history.light, place, weights * scale, complete, wide, SMOOTH, width, height)
-        m.length = m.length * wp.lerp(1.0, wp.min(total, 1.0), strict)
+        m.length *= total
     return m
 
 
@@ -245,7 +244,7 @@ def gather_sources(
     if has_moved(reprojection.taps[pixel]) and (taps == wp.uint8(0) or not reflects):
         twofold = False
     sharp = roughness < SHARP_ROUGHNESS
-    surface = gather_reflection(history, previous, position, taps, pixel, sharp, width, options.height, 0.0)
+    surface = gather_reflection(history, previous, position, taps, pixel, sharp, width, options.height)
     if not twofold:
         return surface
     closeness = light[3]
@@ -270,7 +269,7 @@ def gather_sources(
     taps = image_taps(views, gbuffer, previous, before, width, options.height, pixel, there)
     image = no_reflection()
     if taps != wp.uint8(0):
-        image = gather_reflection(history, previous, there, taps, pixel, sharp, width, options.height, smooth)
+        image = gather_reflection(history, previous, there, taps, pixel, sharp, width, options.height)
     if image.length <= 0.0:
         if reflects:
             # What is reflected has come into view: a mirror's surface showed something else where it was.

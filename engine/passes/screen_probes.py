@@ -203,7 +203,7 @@ class ScreenProbePass:
                          [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
             graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
-            graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, pool], [updates])
+            graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, views, pool], [updates])
             graph.launch(probe_light.project_bands, self.update_count * BANDS,
                          [grid, updates, self.rays, self.weights], [pool])
         with graph.section("Probe interpolation"):

@@ -101,12 +101,12 @@ def large_floor(interval=4):
 
 
 def updates_in_flight(interval, moving=False):
-    """Fly over the floor; return the share of spawn tiles updated a frame, and the light."""
+    """Fly over the floor; return the share of spawn tiles updated a frame, and the light, once it has settled."""
     b = large_floor(interval)
     updated, light = [], []
-    for i in range(56):
+    for i in range(96):
         b.frame(seen_from(0.003 * i), moved=moving)
-        if i >= 24:
+        if i >= 64:
             updated.append(b.probes.stats()["updated"] / b.probes.update_count)
             light.append(b.irradiance()[0])
     return np.array(updated), np.array(light)
