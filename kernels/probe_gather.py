@@ -17,7 +17,7 @@ from .lane_groups import group_sum
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
 from .probe_rays import MISS_DISTANCE, distance_of, inverse_distance
-from .probe_spawn import LAYER_SHARE, probe_cell, separated, surface_distance
+from .probe_spawn import LAYER_SHARE, is_flight, probe_cell, separated, surface_distance
 from .probe_types import BANDS, CELLS, FAR, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project, settled_length
 from .wide_loads import load_vec4h, load_view
@@ -41,9 +41,11 @@ LIGHT_FRAMES = wp.constant(12)
 OUTDATED_FRAMES = wp.constant(32)
 
 # Most updates that what the probes around a new one know counts for: they see it from elsewhere, and where the camera
-# turns to new surfaces each column of probes asks the one before, so that light would run along a wall. It fills cells
-# that no ray has met yet and takes a fifth of the noise. At rest none: time removes noise.
-FRESH_UPDATES = wp.constant(0.25)
+# turns to new surfaces each column of probes asks the one before, so that light would run along a wall. With less than
+# one, cells that are thought bright would be put right more surely than those thought dark, and light would be lost.
+FRESH_UPDATES = wp.constant(1.0)
+# The same while light spreads, less one for each frame at rest: time removes noise.
+FIRST_UPDATES = wp.constant(4.0)
 
 # That many times as far off as they are from the new one must be what they see, or their light counts for less, by the
 # square: cells are wide, and who comes away from a window still finds it in the same cell, as bright. Where the camera
@@ -332,7 +334,8 @@ def count_history(
         count = group_sum(count, lanes)
         found = group_sum(found, lanes)
         apart = group_sum(apart, lanes)
-        count = wp.min(count / wp.max(found, 1.0), wp.max(FRESH_UPDATES - float(view.rest), 0.0))
+        most = wp.where(is_flight(view), FRESH_UPDATES, wp.max(FIRST_UPDATES - float(view.rest), 0.0))
+        count = wp.min(count / wp.max(found, 1.0), most)
         if count > 0.0:
             count = count * share_from_afar(updates_out, update, apart / found, lane, lanes)
     if lane > 0:

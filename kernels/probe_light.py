@@ -15,8 +15,7 @@ from .probe_blend import UNCOUNTED, counted_radiance
 from .probe_gather import neighbour_tile, related_probe
 from .probe_map import band_weight, cell_center, cell_of, to_local
 from .probe_rays import ProbeRays
-from .probe_spawn import probe_cell
-from .probe_turns import is_flight
+from .probe_spawn import is_flight, probe_cell
 from .probe_types import BANDS, CELLS, FAR, NO_CELL, ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
 from .view import View, project
 from .wide_loads import load_vec4h, load_view
@@ -31,8 +30,8 @@ SMOOTH_COSINE = wp.constant(0.9823)
 # Updates after which the neighbours weigh half: the noise has gone, the blur would stay.
 SMOOTH_UPDATES = wp.constant(8.0)
 
-# Updates after which what the cells miss is believed in full: a mean over fewer is more noise than knowledge.
-RESIDUAL_UPDATES = wp.constant(4.0)
+# Most updates that what the cells of the probes around miss counts for in a new one.
+TAKEN_UPDATES = wp.constant(0.25)
 
 
 @wp.kernel
@@ -174,7 +173,7 @@ def project_bands(
         if updates.fresh[update] == 1:
             # A few steps aside it is much the same, and without it light near the horizon would be too bright.
             residual = updates.residual[update * BANDS + band]
-            age = wp.min(residual[3], RESIDUAL_UPDATES)
+            age = wp.min(residual[3], TAKEN_UPDATES)
         mean = rgb(residual)
         if age <= 0.0:
             mean = wp.vec3(0.0, 0.0, 0.0)
@@ -182,5 +181,6 @@ def project_bands(
             mean = wp.lerp(mean, missed_by_cells(updates, rays, weights, update, band), 1.0 / (age + 1.0))
             age = age + 1.0
         pool_out.residual[slot * BANDS + band] = rgba(mean, age)
-        total = total + mean * wp.min(age / RESIDUAL_UPDATES, 1.0)
+        # In full from the first update on: noisy as it is, without it a wall beside a window would be too bright.
+        total = total + mean
     pool_out.irradiance[slot * BANDS + band] = rgba(total, 0.0)

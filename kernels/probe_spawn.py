@@ -14,7 +14,7 @@ from .packing import unpack_normal
 from .probe_map import cell_of, to_local
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
 from .sampling import to_unit
-from .view import View, pixel_footprint, project
+from .view import View, pixel_footprint, project, settling_frames
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
@@ -36,7 +36,16 @@ SEPARATION = wp.constant(0.8)
 # curtain hangs less than a tile's width before its wall, in other light.
 LAYER_SHARE = wp.constant(0.25)
 
+# Frames of light from which on less is asked of an update in motion: before, every ray counts.
+SPREAD_FRAMES = wp.constant(16.0)
+
 SLOT_BITS = wp.constant(wp.int64(4294967295))
+
+
+@wp.func
+def is_flight(view: View) -> bool:
+    """Return whether something moves, in light that has spread."""
+    return view.rest == 0 and settling_frames(view) >= SPREAD_FRAMES
 
 
 @wp.func

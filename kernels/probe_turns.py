@@ -14,15 +14,17 @@ import warp as wp
 from .gbuffer import GBuffer, load_surface
 from .packing import unpack_normal
 from .probe_gather import neighbour_tile
-from .probe_spawn import claim_slot, on_surface, separated
+from .probe_spawn import claim_slot, is_flight, on_surface, separated
 from .probe_types import ProbeGrid, ProbePool, ProbeTiles, ProbeUpdates
-from .view import View, film_centre, project, settling_frames
+from .view import View, film_centre, project
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True})
 
-# Frames of light, and those that a probe has averaged, from which on updates may wait: before, every ray counts.
-SETTLED_FRAMES = wp.constant(16.0)
+# Updates that a probe has averaged from which on the next may wait: before, every ray counts.
 SETTLED_COUNT = wp.constant(4.0)
+
+# Frames since something else than the camera moved from which on all take turns.
+STILL_FRAMES = wp.constant(16.0)
 
 # Intervals up to this many frames are of pictures that are coarser, where what is new has an update in each frame.
 SHORT_INTERVAL = wp.constant(2)
@@ -41,12 +43,6 @@ def turn_tile(grid: ProbeGrid, update: int, turn: int) -> int:
     if x >= grid.tile_columns or y >= grid.tile_rows:
         return -1
     return y * grid.tile_columns + x
-
-
-@wp.func
-def is_flight(view: View) -> bool:
-    """Return whether something moves, in light that has spread."""
-    return view.rest == 0 and settling_frames(view) >= SETTLED_FRAMES
 
 
 @wp.func
@@ -111,7 +107,7 @@ def find_missing(
 @wp.func
 def all_take_turns(view: View, interval: int) -> bool:
     """Return whether updates wait whatever they know: with long intervals, while only the camera moves."""
-    return interval > SHORT_INTERVAL and float(view.moved_age) >= SETTLED_FRAMES
+    return interval > SHORT_INTERVAL and float(view.moved_age) >= STILL_FRAMES
 
 
 @wp.func
