@@ -67,11 +67,11 @@ def errors(step, frames, large):
 def test_light_does_not_follow_the_camera(step, frames, large):
     """Find on the floor that comes into view its own light, not that of the floor nearer to the wall.
 
-    At rest the dim end of the floor is a fifth too bright; it had been up to three times as bright with new probes
-    that trust those around them, know nothing of how their light lies in its cells, or are spared where others lie on
-    one side alone.
+    Its dim end is 0.11 to 0.15 too bright. It had been by 0.25 to 0.42 with new probes that take over four updates and
+    more of what cells miss, and up to three times as bright with such as trust those around them, know nothing of how
+    their light lies in its cells, or are spared where others lie on one side alone.
     """
-    assert abs(errors(step, frames, large)[:, -32:].mean()) < 0.45
+    assert abs(errors(step, frames, large)[:, -32:].mean()) < 0.2
 
 
 def test_slivers_take_light_from_what_is_near():
