@@ -67,9 +67,9 @@ def errors(step, frames, large):
 def test_light_does_not_follow_the_camera(step, frames, large):
     """Find on the floor that comes into view its own light, not that of the floor nearer to the wall.
 
-    Its dim end is 0.11 to 0.15 too bright, at rest 0.08 to 0.14. It had been by 0.25 to 0.42 with new probes that take over four updates and
-    more of what cells miss, and up to three times as bright with such as trust those around them, know nothing of how
-    their light lies in its cells, or are spared where others lie on one side alone.
+    Its dim end is 0.11 to 0.15 too bright, at rest 0.08 to 0.14. It had been by 0.25 to 0.42 with new probes that take
+    over four updates and more of what cells miss, and up to three times as bright with such as trust those around
+    them, know nothing of how their light lies in its cells, or are spared where others lie on one side alone.
     """
     assert abs(errors(step, frames, large)[:, -32:].mean()) < 0.2
 
