@@ -2,10 +2,12 @@
 """Measure the real-time integrator through a camera flight: error, flicker, steadiness. Run by hand.
 
     python tests/performance/flight.py SCENE.blend... [--device cuda] [--size 640 360] [--frames 60] [--every 10]
-        [--truth 1024] [--window 8] [--cycles 16] [--as-is] [--alone] [--set GROUP.FIELD=VALUE] [--output out/flight]
+        [--truth 1024] [--window 8] [--cycles 16] [--as-is] [--alone] [--slower 1] [--set GROUP.FIELD=VALUE]
+        [--output out/flight]
 
 Rests for 64 frames at the first camera, whose error is the measure, then flies one frame a camera. Every tenth frame
 is compared with Reference. --alone rests without path-traced samples: what the filters alone reach is the measure.
+--slower 8 flies the same way in eight times as many frames, of which every eighth is looked at.
 Flicker is the standard deviation over `window` frames of the sRGB values of the same points (steadiness.py), as they
 are and after an 8x8 blur; Cycles renders those frames one by one, each with another seed, and denoises each alone.
 """
@@ -54,7 +56,8 @@ class Flight:
         self.reference = Measured(settings_for("reference", options.device, seed=12345))
         self.reference.load(self.scene.extract())
         places = positions_of(self.reference, self.scene.camera, self.size)
-        self.cameras = fly_over(self.scene.camera, places, options.frames)
+        self.way = fly_over(self.scene.camera, places, (options.frames - 1) * options.slower + 1)
+        self.cameras = self.way[::options.slower]
         first = max(0, options.frames // 2 - options.window)
         self.window = range(first, min(first + options.window, options.frames))
         self.rows: list[list[tuple[np.ndarray, str]]] = []
@@ -66,7 +69,7 @@ class Flight:
         return truth_of(None, self.cameras[frame], self.size, o.device, o.truth, file, o.truth_seconds, self.reference)
 
     def fly(self) -> tuple[np.ndarray, list[np.ndarray], float]:
-        """Return the picture after the rest, those of all frames, and milliseconds a frame with its reading."""
+        """Return the picture after the rest, those of `cameras`, and milliseconds a frame."""
         o = self.options
         groups = merged(FILTERED if o.alone else None, parse_settings(o.set))
         measured = Measured(settings_for(o.integrator, o.device, **groups))
@@ -75,13 +78,14 @@ class Flight:
         measured.frames(REST if o.integrator == "realtime" else 1)
         rest = measured.picture()
         pictures, seconds = [], 0.0
-        for camera in self.cameras:
+        for number, camera in enumerate(self.way):
             measured.look(camera, self.size)
             seconds += measured.frames(1)
-            pictures.append(measured.picture())
+            if number % o.slower == 0:
+                pictures.append(measured.picture())
         print("   ", measured.counts(), flush=True)
         measured.close()
-        return rest, pictures, seconds / len(self.cameras) * 1e3
+        return rest, pictures, seconds / len(self.way) * 1e3
 
     def measure(self, table: Table, flickers: Table) -> None:
         """Add all rows of the scene and save its contact sheet."""
@@ -140,6 +144,7 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, default=16, help="samples of Cycles; 0: none")
     parser.add_argument("--as-is", action="store_true")
     parser.add_argument("--alone", action="store_true", help="rest without path-traced samples")
+    parser.add_argument("--slower", type=int, default=1, help="frames for each of the flight's")
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.FIELD=VALUE")
     parser.add_argument("--output", type=Path, default=Path("out/flight"))
     options = parser.parse_args()
