@@ -67,8 +67,8 @@ def measure(path: Path, options: argparse.Namespace, table: Table) -> None:
         touched = sum(buffer_bytes(pipeline).values()) / copy_rate(pipeline.device) * 1e3
         sums = sums_of(times)
         longer = [ms for ms, _ in rest if ms > options.least]
-        table.add(scene.name, times.in_a_row, sum(sums.values()), sums["rays"], sums["materials"], sums["else"], touched,
-                  len(longer), max(longer, default=0.0))
+        table.add(scene.name, times.in_a_row, sum(sums.values()), *sums.values(), touched, len(longer),
+                  max(longer, default=0.0))
         for section, milliseconds in sorted(times.sections.items(), key=lambda item: -item[1]):
             print(f"    {milliseconds:7.3f}  {kind_of(section):9} {section}")
         for milliseconds, name in rest:
