@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .geometry_math import luminance, orthonormal_tangent, to_frame
+from .geometry_math import luminance, orthonormal_tangent, sqr, to_frame
 from .lane_groups import group_sum
 from .packing import from_half, rgb, rgba, to_half, unpack_normal
 from .probe_map import cell_center, cell_of, to_local
@@ -54,6 +54,10 @@ FAR_WAYS = wp.constant(40.0)
 
 # Cosine between normals, and between the axes about them, from which on two probes' coefficients are of one frame.
 SAME_FRAME = wp.constant(0.98)
+
+# Distance [px] that a moving probe may lie from the mean of the places that its history is of: dense probes, updated in
+# each frame, go along with their tile, and light of a hundred pixels back would go with them.
+MOST_LAG = wp.constant(4.0)
 
 UNKNOWN = wp.constant(-1.0)
 
@@ -269,6 +273,21 @@ def share_from_afar(updates: ProbeUpdates, update: int, way: float, lane: int, l
     return group_sum(alike, lanes) / wp.max(group_sum(total, lanes), 1.0e-9)
 
 
+@wp.func
+def kept_count(view: View, count: float, center: wp.vec3, position: wp.vec3) -> float:
+    """Return how many updates of a history count where a probe has come from the mean of its places.
+
+    Never fewer than one: less would lose light (FRESH_UPDATES).
+    """
+    before = project(view.camera, center)
+    now = project(view.camera, position)
+    share = float(0.0)
+    if before[2] > 0.0:
+        lag = wp.sqrt(sqr(now[0] - before[0]) + sqr(now[1] - before[1]))
+        share = MOST_LAG / wp.max(lag, MOST_LAG)
+    return wp.max(count * share, wp.min(count, 1.0))
+
+
 @wp.kernel
 def count_history(
     first: int,
@@ -315,6 +334,8 @@ def count_history(
     count = float(0.0)
     if updates_out.fresh[update] == 0:
         count = valid_count(view, pool, slot)
+        if is_flight(view):
+            count = kept_count(view, count, pool.center[slot], updates_out.position[update])
     else:
         position = updates_out.position[update]
         normal = unpack_normal(updates_out.normal[update])

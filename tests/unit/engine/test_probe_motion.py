@@ -24,13 +24,16 @@ def as_large(b):
     return b
 
 
-def low_wall(large):
-    """Make a bench over a black floor to the right of an endless low white wall; `large`: as in a large picture."""
+def low_wall(large, tile):
+    """Make a bench over a black floor to the right of an endless low white wall; `large`: as in a large picture.
+
+    With spawn tiles of so many pixels: 8 as in small pictures on a GPU, where each tile may have an update a frame.
+    """
     wall = scenes.mesh([[0, -50, 0], [0, 50, 0], [0, 50, HEIGHT], [0, -50, HEIGHT]], [[0, 1, 2], [0, 2, 3]])
     floor = scenes.mesh([[0, -50, 0], [50, -50, 0], [50, 50, 0], [0, 50, 0]], [[0, 1, 2], [0, 2, 3]])
     view = scenes.camera_above(height=3.0, half=0.5)
     b = ProbeBench({"floor": floor, "wall": wall}, [0.0, 1.0], view, (PIXELS, PIXELS),
-                   settings=ProbeSettings(contact_detail=False))
+                   settings=ProbeSettings(contact_detail=False, spawn_tile=tile))
     return as_large(b) if large else b
 
 
@@ -45,12 +48,12 @@ def seen_from(x):
     return CameraData(kind="perspective", transform=tuple(scenes.place(x=x, z=3.0).ravel()), window=window)
 
 
-def errors(step, frames, large):
+def errors(step, frames, large, tile):
     """Return by how much the floor's light is off, column by column, in the second half of a way from the wall.
 
     The camera sees 1 m of the floor and moves by `step` [m] a frame.
     """
-    b = low_wall(large)
+    b = low_wall(large, tile)
     off = []
     for i in range(20 + frames):
         x = step * max(i - 20, 0)
@@ -62,16 +65,20 @@ def errors(step, frames, large):
     return np.array(off)
 
 
-@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize(("large", "tile"), [(False, 16), (True, 16), (False, 8)])
 @pytest.mark.parametrize(("step", "frames"), [(0.04, 24), (0.01, 48), (0.0025, 96)])
-def test_light_does_not_follow_the_camera(step, frames, large):
+def test_light_does_not_follow_the_camera(step, frames, large, tile):
     """Find on the floor that comes into view its own light, not that of the floor nearer to the wall.
 
     Its dim end is 0.11 to 0.15 too bright, at rest 0.08 to 0.14. It had been by 0.25 to 0.42 with new probes that take
     over four updates and more of what cells miss, and up to three times as bright with such as trust those around
-    them, know nothing of how their light lies in its cells, or are spared where others lie on one side alone.
+    them, know nothing of how their light lies in its cells, or are spared where others lie on one side alone. Dense
+    probes' had been by up to 0.41, and in the middle by 0.59, while they went along with their tile and took all of
+    their history with them.
     """
-    assert abs(errors(step, frames, large)[:, -32:].mean()) < 0.2
+    off = errors(step, frames, large, tile)
+    assert abs(off[:, -32:].mean()) < 0.2
+    assert abs(off[:, 32:64].mean()) < 0.2
 
 
 def test_slivers_take_light_from_what_is_near():
