@@ -56,7 +56,7 @@ FAR_WAYS = wp.constant(40.0)
 SAME_FRAME = wp.constant(0.98)
 
 # Distance [px] that a moving probe may lie from the mean of the places that its history is of: dense probes, updated in
-# each frame, go along with their tile, and light of a hundred pixels back would go with them.
+# each frame, go along with their tile, and the light of tens of pixels back would go with them.
 MOST_LAG = wp.constant(4.0)
 
 UNKNOWN = wp.constant(-1.0)

@@ -61,7 +61,7 @@ def measure(path: Path, options: argparse.Namespace, table: Table) -> None:
         cameras = fly_over(scene.camera, positions_of(measured, scene.camera, size), FLIGHT)
         times = measure_frames(measured.session, measured.settings, cameras, size, frames=options.frames)
         pipeline = measured.session.pipeline
-        sections = dict((kernel, section) for section, kernel in pipeline.launches())
+        sections = {kernel: section for section, kernel in pipeline.launches()}
         rest = sorted(((ms, name) for name, ms in times.kernels.items()
                        if kind_of(sections.get(name, "rays")) == "else"), reverse=True)
         touched = sum(buffer_bytes(pipeline).values()) / copy_rate(pipeline.device) * 1e3
