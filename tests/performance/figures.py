@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from burnish.engine.device import choose_device  # noqa: E402
-from burnish.engine.measure_moving import fly_over, measure_frames  # noqa: E402
+from burnish.engine.measure_moving import FrameTimes, fly_over, measure_frames  # noqa: E402
 from burnish.engine.presets import apply_preset  # noqa: E402
 from burnish.engine.scene import CameraData, SceneDelta  # noqa: E402
 from burnish.engine.settings import Device, Preset, ReflectionResolution, RenderSettings  # noqa: E402
@@ -51,6 +51,9 @@ from tests.performance.settings_text import FILTERED, Groups, merged  # noqa: E4
 from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa: E402
 
 RECIPES = {"paper": Preset.PAPER, "ours": Preset.BALANCED}
+WHOLE, WITHOUT = "whole frame, wall time", "the same without traced reflections"
+UNTRACED: Groups = {"reflections": {"roughness_traced": 0.0, "roughness_blend": 0.0}}
+"""Reflections of all roughnesses from probes"""
 COLUMNS = ("recipe", "picture", "ms", "lum", "dark", "FLIP", "relMSE")
 HEAD = """\
 # The paper's figures
@@ -226,17 +229,24 @@ def time_scene(subject: Subject, options: argparse.Namespace) -> dict[str, dict[
     places = positions_of(reference, subject.camera(small), small)
     reference.close()
     cameras = fly_over(subject.camera(size), places, 60)
+
+    def frame_times(recipe: str, groups: Groups | None = None) -> FrameTimes:
+        measured = Measured(recipe_settings(recipe, options, groups))
+        measured.load(subject.delta)
+        try:
+            return measure_frames(measured.session, measured.settings, cameras, size, frames=options.timing_frames)
+        finally:
+            measured.close()
+
     found: dict[str, dict[str, float]] = {}
     for recipe in RECIPES:
-        measured = Measured(recipe_settings(recipe, options))
-        measured.load(subject.delta)
-        times = measure_frames(measured.session, measured.settings, cameras, size, frames=options.timing_frames)
-        rows = dict.fromkeys((*list(PAPER_TABLE)[:-1], "total", OUTSIDE, "whole frame, wall time"), 0.0)
-        rows["whole frame, wall time"] = times.in_a_row
+        times = frame_times(recipe)
+        rows = dict.fromkeys((*list(PAPER_TABLE)[:-1], "total", OUTSIDE, WHOLE, WITHOUT), 0.0)
+        rows[WHOLE] = times.in_a_row
+        rows[WITHOUT] = frame_times(recipe, UNTRACED).in_a_row
         for section, milliseconds in times.sections.items():
             rows[table_row(section)] += milliseconds
         rows["total"] = sum(rows[name] for name in list(PAPER_TABLE)[:-1])
-        measured.close()
         found[recipe] = rows
     return found
 
