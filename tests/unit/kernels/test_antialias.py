@@ -302,6 +302,20 @@ def test_switched_off_and_restart_show_this_frame_alone(device):
         assert (picture == color.astype(np.float16).astype(np.float32)).all()
 
 
+@pytest.mark.parametrize("green", [0.0, 0.37])
+def test_pure_colors_stay_pure_in_motion(device, green):
+    """Leave no channel below 0 where light has none of it: averages go over luma and chroma, and are rounded."""
+    random = np.random.default_rng(5)
+    frames = Frames(device)
+    for _ in range(12):
+        color = np.zeros((H, W, 4), np.float32)
+        color[..., 0], color[..., 3] = random.uniform(0.0, 0.3, (H, W)), 1.0
+        color[..., 1] = green * color[..., 0]
+        picture = frames.add(color, rest=0, motion=(0.3, 0.2), jitter=tuple(random.uniform(-0.5, 0.5, 2)))
+        assert picture.min() >= 0.0
+        assert picture[..., 2].max() < 1e-6 and picture[..., 0].max() > 0.1
+
+
 def test_alpha_is_averaged_too(device):
     """Average the alpha of a jittered edge at rest, and keep it in 0..1 in motion."""
     frames = Frames(device)
