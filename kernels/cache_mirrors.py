@@ -13,6 +13,7 @@ import warp as wp
 from .environment_split import soft_radiance
 from .geometry_math import mean_component
 from .ggx import reflect_about
+from .homes import NOWHERE
 from .intersect import offset_origin
 from .lamp_hit import FAR
 from .normals import valid_specular_normal
@@ -38,6 +39,8 @@ STREAM_MIRROR = wp.constant(wp.uint32(0x4D495252))
 
 # Mirrors.state of rays over a mirror: apart from what rays have before, for the random numbers of layers.
 FOLLOWED = wp.constant(2)
+# The same over a mirror that has ever moved.
+FOLLOWED_MOVED = wp.constant(3)
 
 
 @wp.struct
@@ -45,9 +48,11 @@ class Mirrors:
     """The frame's rays over mirrors, a slot each as for all rays; without elements where a scene has no mirrors."""
 
     state: wp.array[int]
-    """FOLLOWED, or ENDED for rays that end where they first hit"""
+    """FOLLOWED or FOLLOWED_MOVED, or ENDED for rays that end where they first hit"""
     weight: wp.array[wp.vec4]
     """What arrives of what they meet; w = length of the way before the mirror [m]"""
+    homes: wp.array[int]
+    """Homes.of"""
 
 
 @wp.func
@@ -105,7 +110,10 @@ def send_over(
     """Send a ray on over the mirror that it has hit; `weight` is what then arrives of what it meets."""
     n = valid_specular_normal(point.geometric_normal, point.wo, normal)
     direction = wp.normalize(reflect_about(point.wo, n))
+    instance = paths.hit[slot][0]
     mirrors.state[slot] = FOLLOWED
+    if instance >= 0 and instance < mirrors.homes.shape[0]:
+        mirrors.state[slot] = wp.where(mirrors.homes[instance] == NOWHERE, FOLLOWED, FOLLOWED_MOVED)
     mirrors.weight[slot] = wp.vec4(weight[0], weight[1], weight[2], point.ray_length)
     paths.origin[slot] = offset_origin(point.position, point.geometric_normal, point.error, direction)
     paths.direction[slot] = direction

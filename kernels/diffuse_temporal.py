@@ -41,6 +41,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 FAST_FRAMES = wp.constant(4.0)
 # Relative difference of short and long mean that is always taken for noise.
 MARGIN = wp.constant(0.05)
+# The same while light may be changing slowly, which the two means only differ little by.
+DRIFT_MARGIN = wp.constant(0.02)
 # Standard errors by which means must differ for a change to be seen, and for one that was seen to go on.
 CHANGE_DEVIATIONS = wp.constant(2.0)
 CHANGING_DEVIATIONS = wp.constant(0.5)
@@ -48,6 +50,9 @@ CHANGING_DEVIATIONS = wp.constant(0.5)
 DEVIATION_FRAMES = wp.constant(256.0)
 # Confidence below which light does not replace the light from before an edit all the faster.
 CONFIDENCE_MINIMUM = wp.constant(0.1)
+
+# Frames since something but the camera moved for which light may have been changing slowly.
+DRIFT_FRAMES = wp.constant(32)
 
 # Frames at rest between which trust moves from the change detector to the mean.
 REST_START = wp.constant(16.0)
@@ -143,17 +148,17 @@ def gather_diffuse(
 
 
 @wp.func
-def light_change(m: DiffuseMean, light: float, rest: int) -> float:
+def light_change(m: DiffuseMean, light: float, rest: int, drifting: bool) -> float:
     """Return 0..1: whether the light has changed; 0 after a while at rest.
 
     The short mean must differ from the long one by more than its error, and the new light must not contradict it:
-    a single bright frame is no change.
+    a single bright frame is no change. `drifting`: light may have been changing for some frames.
     """
     slow = brightness(m.irradiance)
     difference = m.fast - slow
     if difference * (light - slow) < 0.25 * difference * difference:
         return 0.0
-    margin = MARGIN * wp.max(m.fast, slow)
+    margin = wp.where(drifting, DRIFT_MARGIN, MARGIN) * wp.max(m.fast, slow)
     error = wp.sqrt(m.deviation * m.deviation / (2.0 * FAST_FRAMES - 1.0) + margin * margin) + 1.0e-7
     moving = wp.clamp((REST_END - float(rest)) / (REST_END - REST_START), 0.0, 1.0)
     threshold = CHANGING_DEVIATIONS
@@ -166,9 +171,12 @@ def light_change(m: DiffuseMean, light: float, rest: int) -> float:
 
 @wp.func
 def add_irradiance(
-    m: DiffuseMean, irradiance: wp.vec3, confidence: float, rest: int, cap: float,
+    m: DiffuseMean, irradiance: wp.vec3, confidence: float, rest: int, cap: float, drifting: bool,
 ) -> DiffuseMean:
-    """Return the mean after a sample that counts for `confidence` frames; without any history it is taken as it is."""
+    """Return the mean after a sample that counts for `confidence` frames; without any history it is taken as it is.
+
+    `drifting`: light may have been changing for some frames, which must not count as noise.
+    """
     out = m
     light = brightness(irradiance)
     if m.length < 0.0:
@@ -177,14 +185,14 @@ def add_irradiance(
         out.fast = light
         return out
     if confidence > 0.0:
-        change = light_change(m, light, rest)
+        change = light_change(m, light, rest, drifting)
         out.change = change
         length = m.length * (1.0 - change) + confidence
         out.length = wp.min(length, cap)
         blend = wp.min(confidence / out.length, 1.0)
         # A change is not noise: it must not widen what counts as noise.
         narrow = wp.max(blend, 1.0 / DEVIATION_FRAMES) * (1.0 - change)
-        apart = light - brightness(m.irradiance)
+        apart = light - wp.where(drifting, m.fast, brightness(m.irradiance))
         out.deviation = wp.sqrt((1.0 - narrow) * (m.deviation * m.deviation + narrow * apart * apart))
         out.fast = wp.lerp(m.fast, light, wp.max(blend, confidence / FAST_FRAMES))
         out.irradiance = wp.lerp(m.irradiance, irradiance, blend)
@@ -239,7 +247,7 @@ def accumulate_diffuse(
             if view.light_age < EDIT_FRAMES:
                 # As sure as new light is, so long lasts the old: else it would stay where confidence is low.
                 cap *= wp.max(confidence, CONFIDENCE_MINIMUM)
-            m = add_irradiance(m, light, confidence, view.rest, cap)
+            m = add_irradiance(m, light, confidence, view.rest, cap, view.moved_age < DRIFT_FRAMES)
     history_out.irradiance[pixel] = pack_mean(m.irradiance)
     history_out.state[pixel] = pack_halves(wp.vec4(m.length, m.fast, m.deviation, m.change))
     irradiance_out[pixel] = pack_halves(rgba(m.irradiance, wp.where(m.length >= 0.0, 1.0, 0.0)))

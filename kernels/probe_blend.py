@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from .cache_mirrors import FOLLOWED_MOVED
 from .geometry_math import is_finite3, luminance
 from .lane_groups import group_sum
 from .packing import HALF_MAX, from_half, rgb, rgba
 from .probe_rays import ProbeRays, distance_of, inverse_distance
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
 from .sampling import hash32, hash_combine
-from .view import View
+from .view import MOVED_FRAMES, View
 from .wide_loads import load_eight_bytes, load_vec4, load_vec4h
 from .wide_stores import store_vec4h
 
@@ -26,6 +27,11 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 # Standard deviations from which on, and over which, a departure from the history counts as a change.
 CHANGE_START = wp.constant(3.0)
 CHANGE_RANGE = wp.constant(2.0)
+
+# Updates that count of a probe that has this share of its rays, or of the light that it knew, over mirrors that move;
+# of one with a smaller share as many more. Such a probe waits for no turn (probe_turns.SETTLED_COUNT).
+MIRROR_UPDATES = wp.constant(1.0)
+MIRROR_SHARE = wp.constant(0.1)
 
 # Relative change below which nothing is forgotten.
 CHANGE_LEAST = wp.constant(0.1)
@@ -117,7 +123,9 @@ def detect_changes(
     first: int,
     # In:
     grid: ProbeGrid,
+    views: wp.array[View],
     rays: ProbeRays,
+    mirrored: wp.array[int],
     lanes: int,
     # Out:
     updates_out: ProbeUpdates,
@@ -128,7 +136,9 @@ def detect_changes(
     Every ray's departure from its cell's history, weighed by what the ray stands for, has mean 0 while nothing
     changes; their sum is judged by the root of the sum of their squares, or of the sum's own square in updates before
     where that is more: rays that all miss a small light are no change where that happens now and then. One bright ray
-    never is. `lanes` threads share an update (lane_groups.py).
+    never is. A mirror that moves throws other light from frame to frame, which single rays bring with more noise than
+    change: probes whose rays go over one remember little (`mirrored`: Mirrors.state of the rays). `lanes` threads
+    share an update (lane_groups.py).
     """
     update = (first + wp.tid()) // lanes
     lane = (first + wp.tid()) % lanes
@@ -143,6 +153,9 @@ def detect_changes(
     change = float(0.0)
     squares = float(0.0)
     known = float(0.0)
+    moving = views[0].moved_age < MOVED_FRAMES and mirrored.shape[0] > 0
+    over = wp.vec2(0.0, 0.0)
+    weights = float(0.0)
     k = lane
     while k < 8:
         cells = load_eight_bytes(updates_out.cell, update * 8 + k)
@@ -159,12 +172,23 @@ def detect_changes(
             change = change + departure
             squares = squares + departure * departure
             known = known + weight * old
+            if moving:
+                weights = weights + weight
+                if mirrored[update * CELLS + 8 * k + i] == FOLLOWED_MOVED:
+                    over = over + wp.vec2(weight, weight * old)
         k = k + lanes
     change = group_sum(change, lanes)
     squares = group_sum(squares, lanes)
     known = group_sum(known, lanes)
+    if moving:
+        over = wp.vec2(group_sum(over[0], lanes), group_sum(over[1], lanes))
+        weights = group_sum(weights, lanes)
     if lane > 0:
         return
+    if moving:
+        share = wp.max(over[0] / wp.max(weights, 1.0e-6), over[1] / wp.max(known, 1.0e-6))
+        count = wp.min(count, MIRROR_UPDATES * wp.max(MIRROR_SHARE / wp.max(share, 1.0e-6), 1.0))
+        updates_out.count[update] = count
     updates_out.change[update] = 1.0
     noise = pool_out.noise[slot]
     if updates_out.fresh[update] == 1:

@@ -35,6 +35,7 @@ class MirrorRays:
         self.struct = Mirrors()
         self.struct.state = wp.full(count, int(ENDED), dtype=int, device=device)
         self.struct.weight = wp.zeros(count, dtype=wp.vec4, device=device)
+        self.struct.homes = wp.zeros(0, dtype=int, device=device)
         # To what traces rays all others have ended.
         self._paths = copy_struct(paths)
         self._paths.state = self.struct.state

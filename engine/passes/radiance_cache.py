@@ -179,6 +179,7 @@ class RadianceCachePass:
             count, (self.width, self.height), layers=filtered, mirrors=mirrors,
             glossy=self.settings.highlights and glossy)
         self.rays.take(world, fog, all_lean=all_lean, lean_layers=lean_layers)
+        self.rays.mirrors.struct.homes = self.grid.homes.of
         return self.rays
 
     def record_pending(

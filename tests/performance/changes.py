@@ -7,9 +7,9 @@
 ball: a matte ball crosses the picture in 24 frames, at half of the median distance, and then goes on far away. Eight
 frames later the picture is held against the mean of four sessions whose ball was far away all the time, by 16x16
 blocks. Beside each figure is that of a fifth such session: what chance alone makes.
-lamp: a point lamp between the camera and what it sees, which gives as much light as all else, is switched off and on
-again. What is left of its light twelve frames later, by its light. Beside each figure is that of a session which starts
-anew in that state and renders as many frames.
+lamp: a point lamp between the camera and what it sees, which lights half of the pixels as much as all else does, is
+switched off and on again. What is left of its light twelve frames later, by its light. Beside each figure is that of a
+session which starts anew in that state and renders as many frames.
 --alone judges frames without path-traced samples at rest.
 """
 
@@ -56,9 +56,9 @@ COLUMNS = ("scene", "what", "p5", "p95", "share off by 5 %", "beside: p5", "p95"
 GOALS = """\
 ball: 5th and 95th percentile of blocks' light eight frames after it has passed, of those that it crossed and of all, by
 that of sessions which have not seen it. Goal: within 5 %. lamp (p5): what is there of its light twelve frames after it
-went off or came on, beyond what a long rest shows without it. Goal: within 0.02 of a session that starts anew, whose
-other light is as young. share: of blocks that are off by 5 % of the sum of their light in both states. Light above 1
-counts as 1 in blocks."""
+went off or came on, beyond what a long rest shows without it. Goal: within 0.02 of none or all of it, or of what a
+session shows that starts anew, whose other light is as young. share: of blocks that are off by 5 % of the sum of their
+light in both states. Light above 1 counts as 1 in blocks."""
 
 
 class Stage:
@@ -203,13 +203,13 @@ def measure_ball(stage: Stage, table: Table) -> None:
 
 
 def lamp_power(stage: Stage) -> float:
-    """Return the power [W] of a lamp that gives as much light as all else, where that is below 1."""
+    """Return the power [W] of a lamp that gives half of the pixels below 1 as much light as all else."""
     watt = stage.distance**2 * 10.0
     without = stage.shown(stage.content, AFTER_BALL)
     lit = stage.shown(dataclasses.replace(stage.content, lights=[*lamps(stage), stage.lamp(watt)]), AFTER_BALL)
     seen = dark(without)
-    light = luminance(without)[seen].sum()
-    return watt * float(light / max((luminance(lit)[seen].sum() - light), 1e-9 * light))
+    before, added = luminance(without)[seen], (luminance(lit) - luminance(without))[seen]
+    return watt / float(np.median(added / np.maximum(before, 1e-3)))
 
 
 def lamps(stage: Stage) -> list[LightData]:
@@ -230,7 +230,7 @@ def measure_lamp(stage: Stage, table: Table) -> None:
     measured = stage.start(scenes["on"])
     measured.frames(stage.options.rest)
     shown = []
-    for name in ("off", "on"):
+    for name, goal in (("off", 0.0), ("on", 1.0)):
         measured.load(SceneDelta(lights=states[name]))
         measured.frames(AFTER_LAMP)
         picture, anew = measured.picture(), stage.shown(scenes[name], AFTER_LAMP)
@@ -241,7 +241,8 @@ def measure_lamp(stage: Stage, table: Table) -> None:
             share = float((luminance(each) - low)[seen].sum() / light)
             off = np.abs(blocks(each) - blocks(steady[name])) / both
             row += [share, float("nan"), float((off > OFF).mean())]
-        table.add(stage.name, f"lamp {name}", *row, bad, "yes" if abs(row[0] - row[3]) <= LEFT and bad == 0 else "NO")
+        good = min(goal, row[3]) - LEFT <= row[0] <= max(goal, row[3]) + LEFT and bad == 0
+        table.add(stage.name, f"lamp {name}", *row, bad, "yes" if good else "NO")
         measured.frames(stage.options.rest - AFTER_LAMP)
     measured.close()
     save(stage, "lamp", [shown[0], (steady["off"], "steady state"), shown[1], (steady["on"], "steady state")],

@@ -195,3 +195,35 @@ def test_movers_keep_their_means_in_mirrors():
     delta, camera, change = moving_wall(0.06, (96, 60))
     kept, alone = errors(delta, [(change(frame), camera) for frame in range(12)], 48)
     assert kept < 0.92 * alone
+
+
+@pytest.mark.slow
+def test_light_over_a_mirror_moves_with_it():
+    """Take the patch of light that a turning mirror throws onto the floor along: little is left where it was."""
+    width, height = size = (128, 76)
+    scene = glossy_scenes.moving_mirror(size)
+    chosen = dataclasses.replace(scenes.SETTINGS, sampling=SamplingSettings(integrator=Integrator.REALTIME),
+                                 denoiser=DenoiserSettings(path_traced_rest=False))
+
+    def light(first, changes, after):
+        """Return diffuse indirect light before the changes, one frame each, and `after` frames later."""
+        session = Session(chosen)
+        session.update(scene.delta)
+        session.update(first)
+        session.configure(chosen, scene.camera, *size, passes=("Combined", "Diffuse Indirect"))
+        session.step(WARM_UP)
+        before = session.read("Diffuse Indirect").mean(-1)
+        for change in changes:
+            session.update(change)
+            session.step(1)
+        session.step(after)
+        picture = session.read("Diffuse Indirect").mean(-1)
+        session.close()
+        return before, picture
+
+    _, steady = light(scene.change(scene.frames), [], 40)
+    before, found = light(scene.change(0), [scene.change(frame + 1) for frame in range(scene.frames)], 8)
+    floor = slice(height // 12, height // 4), slice(0, width // 5)
+    start, end, now = (float(picture[floor].mean()) for picture in (before, steady, found))
+    assert start > 1.5 * end
+    assert (now - end) / (start - end) < 0.42, (start, end, now)
