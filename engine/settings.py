@@ -293,7 +293,7 @@ class DenoiserSettings:
     reflection_temporal: bool = setting(
         True, "Average reflections over frames, where the surface or the mirrored thing was. Off shows each frame's")
     reflection_history: int = setting(
-        16, "Most frames averaged in reflections while something moves (the paper: 8): more has less noise and lags "
+        32, "Most frames averaged in reflections while something moves (the paper: 8): more has less noise and lags "
         "more, at no cost", low=1, high=1024, unit="frames")
     reflection_clamp: float = setting(
         2.0, "Keep the average of reflections within so many standard deviations of this frame's neighbourhood (0: "
