@@ -118,6 +118,18 @@ def store(value: wp.vec3, distance: float, seed: wp.uint32) -> wp.vec4h:
         wp.float16(distance))
 
 
+@wp.func
+def updates_over_mirrors(over: wp.vec3, known: float) -> float:
+    """Return how many updates count of a probe whose rays go over mirrors that move.
+
+    Args:
+        over: Weights of all rays, of those over such mirrors, and the light that was known of these.
+        known: Of all rays.
+    """
+    share = wp.max(over[1] / wp.max(over[0], 1.0e-6), over[2] / wp.max(known, 1.0e-6))
+    return MIRROR_UPDATES * wp.max(MIRROR_SHARE / wp.max(share, 1.0e-6), 1.0)
+
+
 @wp.kernel
 def detect_changes(
     first: int,
@@ -154,8 +166,7 @@ def detect_changes(
     squares = float(0.0)
     known = float(0.0)
     moving = views[0].moved_age < MOVED_FRAMES and mirrored.shape[0] > 0
-    over = wp.vec2(0.0, 0.0)
-    weights = float(0.0)
+    over = wp.vec3(0.0, 0.0, 0.0)
     k = lane
     while k < 8:
         cells = load_eight_bytes(updates_out.cell, update * 8 + k)
@@ -173,21 +184,18 @@ def detect_changes(
             squares = squares + departure * departure
             known = known + weight * old
             if moving:
-                weights = weights + weight
-                if mirrored[update * CELLS + 8 * k + i] == FOLLOWED_MOVED:
-                    over = over + wp.vec2(weight, weight * old)
+                moved = wp.where(mirrored[update * CELLS + 8 * k + i] == FOLLOWED_MOVED, weight, 0.0)
+                over = over + wp.vec3(weight, moved, moved * old)
         k = k + lanes
     change = group_sum(change, lanes)
     squares = group_sum(squares, lanes)
     known = group_sum(known, lanes)
     if moving:
-        over = wp.vec2(group_sum(over[0], lanes), group_sum(over[1], lanes))
-        weights = group_sum(weights, lanes)
+        over = wp.vec3(group_sum(over[0], lanes), group_sum(over[1], lanes), group_sum(over[2], lanes))
     if lane > 0:
         return
     if moving:
-        share = wp.max(over[0] / wp.max(weights, 1.0e-6), over[1] / wp.max(known, 1.0e-6))
-        count = wp.min(count, MIRROR_UPDATES * wp.max(MIRROR_SHARE / wp.max(share, 1.0e-6), 1.0))
+        count = wp.min(count, updates_over_mirrors(over, known))
         updates_out.count[update] = count
     updates_out.change[update] = 1.0
     noise = pool_out.noise[slot]

@@ -201,8 +201,9 @@ class ScreenProbePass:
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         with graph.section("Probe blending"):
             mirrored = wp.empty(0, dtype=int, device=self.device) if mirrored is None else mirrored
-            graph.launch(probe_blend.detect_changes, graph.lanes * self.update_count,
-                         [grid, views, self.rays, mirrored, graph.lanes], [updates, pool])
+            with graph.slots(0, self.update_count * CELLS, len(mirrored)):
+                graph.launch(probe_blend.detect_changes, graph.lanes * self.update_count,
+                             [grid, views, self.rays, mirrored, graph.lanes], [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
             graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
             graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, views, pool], [updates])
