@@ -291,7 +291,7 @@ def rectify(history: wp.vec4, n: Neighborhood, deviations: float) -> wp.vec4:
 
 @wp.func
 def clamp_color(c: wp.vec4) -> wp.vec4:
-    """Take away what negative lobes, and the rounding of a GPU's fused operations, leave below 0; and alpha above 1."""
+    """Take away what negative lobes and rounding leave below 0, and alpha above 1."""
     return wp.vec4(wp.max(c[0], 0.0), wp.max(c[1], 0.0), wp.max(c[2], 0.0), wp.clamp(c[3], 0.0, 1.0))
 
 
