@@ -50,6 +50,10 @@ MOVER_SAMPLES = wp.constant(16.0)
 AGE_SHARE = wp.constant(0.06)
 # So many samples are kept nevertheless by cells that seldom get one.
 AGE_SAMPLES = wp.constant(4.0)
+# What indirect light from before an edit of light weighs in cells that have had no bounce ray since: bounce rays start
+# from cells that know least. So many frames after the edit it counts for nothing, and wide cells stand in.
+STALE_SAMPLES = wp.constant(0.25)
+STALE_FRAMES = wp.constant(4.0)
 
 
 @wp.struct
@@ -289,6 +293,17 @@ def aged(held: wp.vec4, age: float) -> wp.vec4:
     return wp.vec4(held[0], held[1], held[2], wp.max(held[3] * frames / (frames + 1.0), AGE_SAMPLES))
 
 
+@wp.func
+def after_edit(held: wp.vec4, age: float, bounced: int) -> wp.vec4:
+    """Return a cell's indirect light, `age` frames after an edit of light, in a frame with so many bounce rays."""
+    known = held[3]
+    if age == 0.0:
+        known = wp.min(known, STALE_SAMPLES)
+    elif age == STALE_FRAMES and bounced == 0 and known <= STALE_SAMPLES:
+        known = 0.0
+    return wp.vec4(held[0], held[1], held[2], known)
+
+
 @wp.kernel
 def update_cells(
     first: int,
@@ -321,7 +336,7 @@ def update_cells(
     indirect = grid_out.indirect[cell]
     if bounced > 0 or indirect[3] > AGE_SAMPLES or age < float(REBALANCE_FRAMES):
         if age < float(REBALANCE_FRAMES):
-            indirect = scaled(indirect, control_out.factors[0])
+            indirect = scaled(after_edit(indirect, age, bounced), control_out.factors[0])
         else:
             indirect = aged(indirect, age)
         if bounced > 0:
