@@ -84,3 +84,19 @@ def test_few_samples_are_not_forgotten(device):
     for _ in range(100):
         cells.update()
     assert cells.mean == (0.5, 3.0)
+
+
+@pytest.mark.parametrize("bounced", [0, 1, 3], ids=["never", "at once", "in the third frame"])
+def test_light_from_before_an_edit_is_known_for_some_frames(device, bounced):
+    """Keep it with hardly any weight, and from the fourth frame on as unknown unless a bounce ray has come by then."""
+    cells = Cells(device, 1.0, 64.0)
+    cells.age = -1
+    for frame in range(6):
+        cells.update(2.0, int(frame == bounced and bounced > 0))
+        light, known = cells.mean
+        if frame == 0:
+            assert light == 1.0 and 0.0 < known < 1.0
+    if bounced == 0:
+        assert (light, known) == (1.0, 0.0)
+    else:
+        assert light > 1.75 and known >= 0.99
