@@ -24,8 +24,8 @@ from .scene import CameraData
 from .session import Session
 from .settings import RenderSettings
 
-__all__ = ["FrameTimes", "MovingCamera", "Pan", "fly", "fly_over", "measure_frames", "measure_pan", "pan",
-           "settling_frames", "there_and_back"]
+__all__ = ["FrameTimes", "MovingCamera", "Pan", "depths_seen", "fly", "fly_over", "measure_frames", "measure_pan",
+           "pan", "settling_frames", "there_and_back"]
 
 FLIGHT_TURN = math.radians(24.0)
 """Whole turn of a flight [rad], half of it to each side"""
@@ -65,11 +65,15 @@ def fly_over(camera: CameraData, positions: np.ndarray, count: int) -> list[Came
         positions: World position of the surface in each pixel [h, w, 3]; 0 without a surface.
         count: Frames.
     """
-    start = matrix_of(camera)
-    seen = positions.any(-1)
-    depth = -((positions[seen] - start[:3, 3]) @ start[:3, 2])
-    near, middle = np.percentile(depth, (2, 50)) if depth.size else (1.0, 1.0)
-    return fly(camera, near=float(near), middle=float(middle), count=count)
+    near, middle = depths_seen(camera, positions, (2, 50))
+    return fly(camera, near=near, middle=middle, count=count)
+
+
+def depths_seen(camera: CameraData, positions: np.ndarray, percentiles: Sequence[float]) -> list[float]:
+    """Return percentiles of the depths [m] of what a camera sees, 1 where it sees nothing; positions as of fly_over."""
+    axes = matrix_of(camera)
+    depth = -((positions[positions.any(-1)] - axes[:3, 3]) @ axes[:3, 2])
+    return np.percentile(depth, percentiles).tolist() if depth.size else [1.0] * len(percentiles)
 
 
 def pan(camera: CameraData, count: int) -> list[CameraData]:

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 importlib.import_module("tests.conftest")  # makes `burnish` this checkout
 
 from burnish.engine.image_error import box_filter  # noqa: E402
-from burnish.engine.measure_moving import matrix_of  # noqa: E402
+from burnish.engine.measure_moving import depths_seen, matrix_of  # noqa: E402
 from burnish.engine.scene import InstanceTable, LightData, LightKind, SceneDelta  # noqa: E402
 
 from tests.performance.blend_scene import BlendScene  # noqa: E402
@@ -78,10 +78,7 @@ class Stage:
         probe.load(self.content)
         places = positions_of(probe, self.camera, self.size)
         probe.close()
-        axes = matrix_of(self.camera)
-        seen = places.any(-1)
-        depth = -((places[seen] - axes[:3, 3]) @ axes[:3, 2])
-        self.axes, self.distance = axes, 0.5 * float(np.percentile(depth, 50))
+        self.axes, self.distance = matrix_of(self.camera), 0.5 * depths_seen(self.camera, places, (50,))[0]
         left, right, bottom, top = self.camera.window
         self.sides, self.heights = (left, right), (bottom, top)
         self.radius = RADIUS * self.distance * (right - left)

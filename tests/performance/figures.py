@@ -30,6 +30,7 @@ from burnish.engine.measure_moving import FrameTimes, fly_over, measure_frames  
 from burnish.engine.presets import apply_preset  # noqa: E402
 from burnish.engine.scene import CameraData, SceneDelta  # noqa: E402
 from burnish.engine.settings import Device, Preset, ReflectionResolution, RenderSettings  # noqa: E402
+from burnish.engine.variants import VARIANTS  # noqa: E402
 
 from tests import glossy_scenes  # noqa: E402
 from tests.performance.figure_list import (  # noqa: E402
@@ -47,12 +48,12 @@ from tests.performance.measured_session import (  # noqa: E402
     settings_for,
     truth_of,
 )
-from tests.performance.settings_text import FILTERED, Groups, merged  # noqa: E402
+from tests.performance.settings_text import FILTERED, Groups, merged, parse_settings  # noqa: E402
 from tests.performance.sheets import Table, error_map, save_sheet, tone  # noqa: E402
 
 RECIPES = {"paper": Preset.PAPER, "ours": Preset.BALANCED}
 WHOLE, WITHOUT = "whole frame, wall time", "the same without traced reflections"
-UNTRACED: Groups = {"reflections": {"roughness_traced": 0.0, "roughness_blend": 0.0}}
+UNTRACED: Groups = parse_settings([f"{name}={value}" for name, value in VARIANTS["no traced reflections"].items()])
 """Reflections of all roughnesses from probes"""
 COLUMNS = ("recipe", "picture", "ms", "lum", "dark", "FLIP", "relMSE")
 HEAD = """\
