@@ -13,7 +13,7 @@ import warp as wp
 from .environment_split import soft_radiance
 from .geometry_math import mean_component
 from .ggx import reflect_about
-from .homes import NOWHERE
+from .homes import NOWHERE, home_row
 from .intersect import offset_origin
 from .lamp_hit import FAR
 from .normals import valid_specular_normal
@@ -110,10 +110,8 @@ def send_over(
     """Send a ray on over the mirror that it has hit; `weight` is what then arrives of what it meets."""
     n = valid_specular_normal(point.geometric_normal, point.wo, normal)
     direction = wp.normalize(reflect_about(point.wo, n))
-    instance = paths.hit[slot][0]
-    mirrors.state[slot] = FOLLOWED
-    if instance >= 0 and instance < mirrors.homes.shape[0]:
-        mirrors.state[slot] = wp.where(mirrors.homes[instance] == NOWHERE, FOLLOWED, FOLLOWED_MOVED)
+    still = home_row(mirrors.homes, paths.hit[slot][0]) == NOWHERE
+    mirrors.state[slot] = wp.where(still, FOLLOWED, FOLLOWED_MOVED)
     mirrors.weight[slot] = wp.vec4(weight[0], weight[1], weight[2], point.ray_length)
     paths.origin[slot] = offset_origin(point.position, point.geometric_normal, point.error, direction)
     paths.direction[slot] = direction

@@ -77,6 +77,14 @@ def still_place(position: wp.vec3, normal: wp.vec3) -> CellPlace:
 
 
 @wp.func
+def home_row(of: wp.array[int], instance: int) -> int:
+    """Return an instance's row of homes (Homes.of), NOWHERE for one that has not moved or is none."""
+    if instance >= 0 and instance < of.shape[0]:
+        return of[instance]
+    return NOWHERE
+
+
+@wp.func
 def cell_place(homes: Homes, instance: int, position: wp.vec3, normal: wp.vec3) -> CellPlace:
     """Return the place of a point.
 
@@ -87,13 +95,11 @@ def cell_place(homes: Homes, instance: int, position: wp.vec3, normal: wp.vec3) 
         normal: Geometric, unit, on the side that is seen.
     """
     place = still_place(position, normal)
-    if instance >= 0 and instance < homes.of.shape[0]:
-        row = homes.of[instance]
-        if row != NOWHERE:
-            home = homes.rows[row]
-            place.home = transform_point(
-                home.to_world, transform_point(homes.instances[instance].to_object, position))
-            local = normalize_or(transform_normal(homes.instances[instance].to_world, normal), normal)
-            place.normal = normalize_or(transform_normal(home.to_object, local), normal)
-            place.mover = mover_bits(home.serial)
+    row = home_row(homes.of, instance)
+    if row != NOWHERE:
+        home = homes.rows[row]
+        place.home = transform_point(home.to_world, transform_point(homes.instances[instance].to_object, position))
+        local = normalize_or(transform_normal(homes.instances[instance].to_world, normal), normal)
+        place.normal = normalize_or(transform_normal(home.to_object, local), normal)
+        place.mover = mover_bits(home.serial)
     return place

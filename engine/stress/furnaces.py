@@ -120,7 +120,8 @@ def run_balls(trial: Trial, integrator: Integrator, glass: bool) -> None:
     metals = ((0.0, 1.5),) if glass else ((0.0, 1.5), (1.0, 1.5), (0.0, 1.0), (0.0, 3.0), (0.5, 1.33))
     metals = trial.choose(metals[:1], metals)
     iors = ((1.5,) if trial.quick else (1.0, 1.33, 1.5, 2.4)) if glass else (None,)
-    amount = trial.choose(32, 1024) if integrator == Integrator.REFERENCE else trial.choose(32, 128)
+    # A path that stays long in a ball of slightly rough glass can weigh as much as 300 samples.
+    amount = trial.choose(128 if glass else 32, 1024) if integrator == Integrator.REFERENCE else trial.choose(32, 128)
     tolerance = GLASS_TOLERANCE if glass else FLAT_TOLERANCE
     paths = {"light_paths": {"roulette_start": GLASS_BOUNCES}} if glass else {}
     mask = ball_masks(len(ROUGHNESSES), BALLS_SIZE)
