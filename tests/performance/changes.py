@@ -2,11 +2,12 @@
 """Measure what is left of things that have passed and of lamps that were switched, in scenes from files. Run by hand.
 
     python tests/performance/changes.py SCENE.blend... [--device cuda] [--size 640 360] [--only ball,lamp] [--alone]
-        [--rest 64] [--truth 128] [--set GROUP.FIELD=VALUE] [--output out/changes]
+        [--passes 4] [--rest 64] [--truth 128] [--set GROUP.FIELD=VALUE] [--output out/changes]
 
 ball: a matte ball crosses the picture in 24 frames, at half of the median distance, and then goes on far away. Eight
 frames later the picture is held against the mean of four sessions whose ball was far away all the time, by 16x16
-blocks. Beside each figure is that of a fifth such session: what chance alone makes.
+blocks. Beside each figure is that of another such session: what chance alone makes. Both are means of --passes
+sessions.
 lamp: a point lamp between the camera and what it sees, which lights half of the pixels as much as all else does, is
 switched off and on again. What is left of its light twelve frames later, by its light. Beside each figure is that of a
 session which starts anew in that state and renders as many frames.
@@ -189,16 +190,22 @@ def pass_by(stage: Stage, content: SceneDelta, row: int, seed: int, *, near: boo
 def measure_ball(stage: Stage, table: Table) -> None:
     """Let a ball pass, add its rows and save its pictures."""
     content, row = stage.with_ball()
-    during, gone = pass_by(stage, content, row, 0, near=True)
-    *others, beside = (pass_by(stage, content, row, 1 + seed, near=False)[1] for seed in range(SESSIONS + 1))
+    seeds = iter(range(SESSIONS + 2 * stage.options.passes))
+    passes = [pass_by(stage, content, row, next(seeds), near=True) for _ in range(stage.options.passes)]
+    others = [pass_by(stage, content, row, next(seeds), near=False)[1] for _ in range(SESSIONS)]
+    beside = [pass_by(stage, content, row, seed, near=False)[1] for seed in seeds]
     steady, light = np.mean(others, 0), np.mean([blocks(picture) for picture in others], 0)
     crossed = box_filter(stage.crossed()[..., None].astype(float), BLOCK)[..., 0] > 0.5
-    bad = bad_pixels(gone)
+    (during, gone), after = passes[0], [picture for _, picture in passes]
+    bad = sum(bad_pixels(picture) for picture in after)
+
+    def figures(pictures: list[np.ndarray], mask: np.ndarray) -> np.ndarray:
+        return np.mean([block_figures((blocks(picture) / light)[mask]) for picture in pictures], 0)
+
     for what, mask in (("ball, crossed", crossed), ("ball, all", np.ones_like(crossed))):
-        figures = block_figures((blocks(gone) / light)[mask])
-        good = figures[0] >= 1.0 - OFF and figures[1] <= 1.0 + OFF and bad == 0
-        table.add(stage.name, what, *figures, *block_figures((blocks(beside) / light)[mask]), bad,
-                  "yes" if good else "NO")
+        low, high, share = figures(after, mask)
+        good = low >= 1.0 - OFF and high <= 1.0 + OFF and bad == 0
+        table.add(stage.name, what, low, high, share, *figures(beside, mask), bad, "yes" if good else "NO")
     save(stage, "ball", [(during, "ball passing"), (gone, f"{AFTER_BALL} frames after"), (steady, "not seen")],
          (steady, gone))
 
@@ -276,6 +283,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, nargs=2, default=(640, 360))
     parser.add_argument("--only", default="", help="ball or lamp; default: both")
     parser.add_argument("--alone", action="store_true", help="without path-traced samples at rest")
+    parser.add_argument("--passes", type=int, default=4, help="of the ball, whose figures' mean is taken")
     parser.add_argument("--rest", type=int, default=64, help="frames before anything changes")
     parser.add_argument("--truth", type=int, default=128, help="frames of the steady state")
     parser.add_argument("--set", action="append", default=[], metavar="GROUP.FIELD=VALUE")
