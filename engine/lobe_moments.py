@@ -17,8 +17,8 @@ NODES = int(kernels.LOBE_NODES)
 
 @functools.cache
 def lobe_moments(device: str) -> wp.array:
-    """Return the moments of the GGX lobes: uint64 [16 * 16 * 2], see kernels.lobe_moments.integrate_lobes."""
+    """Return the moments of the GGX lobes: uint64 [16 * 16 * 2 * 2], see kernels.lobe_moments.integrate_lobes."""
     count = NODES * NODES * 2
-    moments = wp.zeros(count, dtype=wp.uint64, device=device)
+    moments = wp.zeros(2 * count, dtype=wp.uint64, device=device)
     launch(kernels.integrate_lobes, count, [int(kernels.LOBE_SAMPLES)], [moments], device)
     return moments

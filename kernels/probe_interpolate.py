@@ -3,7 +3,7 @@
 
 A probe sees nothing below its own plane, so for a pixel whose normal leans away its harmonics fall short of a white sky
 by (1 + cos) / 2; dividing by the interpolated same makes every white sky exact. The light of a reflection lobe is the
-same sum with other factors for each band (lobe_moments.py).
+same sum with other factors (lobe_moments.py).
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from .gbuffer import GBuffer, Surface, has_surface, load_material, load_surface,
 from .geometry_math import luminance
 from .interpolation_turns import InterpolatedBefore, kept_light, known_pixel
 from .list_order import first_dealt
-from .lobe_moments import reflection_lobe
+from .lobe_moments import lobe_bands
+from .normals import valid_specular_normal
 from .packed_halves import unpack_pairs
 from .packing import rgb, to_half, unpack_normal
 from .probe_gather import in_tiles
-from .probe_map import CORRECTION_COSINE, COSINE_1, COSINE_2, cell_of, to_local
+from .probe_map import CORRECTION_COSINE, cell_of, to_local
 from .probe_records import RECORD, RECORD_BANDS, RECORD_CENTER, RECORD_NORMAL, WorldBands, world_basis
 from .probe_spawn import LAYER_SHARE, SEPARATION, probe_cell, surface_distance
 from .probe_types import CELLS, TILE, ProbeGrid, ProbePool, ProbeTiles
@@ -71,8 +72,7 @@ class Place:
     diffuse: WorldBands
     """Basis at the shading normal"""
     lobe: WorldBands
-    """Basis along the reflection lobe's axis, with its moments"""
-    lobe_mean: wp.vec3
+    """The same for the reflection lobe"""
 
 
 @wp.struct
@@ -108,15 +108,12 @@ def place_of(
     p = bare_place(view, grid, s, pixel)
     p.diffuse = world_basis(s.normal, 1.0, 1.0)
     p.lobe = p.diffuse
-    p.lobe_mean = s.normal * COSINE_1
     if gbuffer.specular[pixel] != wp.uint32(0):
         m = load_material(gbuffer, pixel)
-        lobe = reflection_lobe(
-            moments, s.normal, view_direction(view, s), m.roughness, luminance(m.f0, grid.luminance), m.f90)
+        wo = view_direction(view, s)
         # Where the shading normal leans so far that it mirrors the surface itself, the horizon is seen.
-        axis = wp.normalize(lobe.axis - s.geometric_normal * wp.min(wp.dot(lobe.axis, s.geometric_normal), 0.0))
-        p.lobe = world_basis(axis, lobe.first / COSINE_1, lobe.second / COSINE_2)
-        p.lobe_mean = axis * lobe.first
+        n = valid_specular_normal(s.geometric_normal, wo, s.normal)
+        p.lobe = lobe_bands(moments, n, wo, m.roughness, luminance(m.f0, grid.luminance), m.f90)
     return p
 
 
@@ -197,7 +194,7 @@ def add_record(
     correction = wp.max(cosine - CORRECTION_COSINE, 0.0) / (1.0 - CORRECTION_COSINE)
     light = rgb(unpack_pairs(last[2], last[3])) * correction + rgb(mean)
     light = light + rgb(c) * p.diffuse[1]
-    specular = luminance(rgb(mean), grid.luminance) + c[3] * p.lobe[1]
+    specular = luminance(rgb(mean), grid.luminance) * p.lobe[0] + c[3] * p.lobe[1]
     for k in range(1, 4):
         piece = load_piece(records, base + RECORD_BANDS + k)
         c = unpack_pairs(piece[0], piece[1])
@@ -213,7 +210,8 @@ def add_record(
     specular_share = float(1.0)
     if grid.exact == 1:
         share = wp.max(0.5 + 0.5 * cosine, LEAST_SHARE)
-        specular_share = wp.max(0.5 + 0.75 * wp.dot(p.lobe_mean, n), LEAST_SHARE)
+        lobe = p.lobe[1] * n[0] + p.lobe[2] * n[1] + p.lobe[3] * n[2]
+        specular_share = wp.max(0.5 * p.lobe[0] + 0.5 * lobe, LEAST_SHARE)
     b = Blend()
     b.light = total.light + light * w
     b.share = total.share + share * w
