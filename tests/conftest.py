@@ -67,6 +67,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def shared_cores() -> None:
+    """Divide the cores between processes that run tests side by side: more threads would only take turns."""
+    from burnish.engine.device import thread_count, use_threads
+
+    use_threads(max(1, thread_count() // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
+
+
+@pytest.fixture(scope="session", autouse=True)
 def quiet_warp(request: pytest.FixtureRequest) -> None:
     """Let Warp print errors only, and build kernels that tests launch by themselves as those that the engine loads."""
     import warp as wp

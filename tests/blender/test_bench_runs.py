@@ -69,6 +69,7 @@ def broken_run(tmp_path_factory: pytest.TempPathFactory, fresh_python: Run,
     return output, *(fresh_python(BROKEN_BURNISH + RUN, *arguments, timeout=TIMEOUT) for _ in range(2))
 
 
+@pytest.mark.slow
 def test_failing_engine_is_a_row(broken_run: tuple) -> None:
     """Report an engine's failure as its row, measure the others, and exit with 0."""
     output, first, _ = broken_run
@@ -83,6 +84,7 @@ def test_failing_engine_is_a_row(broken_run: tuple) -> None:
     assert scene["truth_errors"]["flip"] < cycles["errors"]["flip"] and scene["truth_noise"] > 0.0
 
 
+@pytest.mark.slow
 def test_run_saves_side_by_side_pictures(broken_run: tuple) -> None:
     """Save one labelled PNG per row: four enlarged panels under a bar."""
     import OpenImageIO as oiio
@@ -93,6 +95,7 @@ def test_run_saves_side_by_side_pictures(broken_run: tuple) -> None:
     assert pixels[:26].std() > 0.02, "no text in the bar"
 
 
+@pytest.mark.slow
 def test_second_run_renders_only_what_failed(broken_run: tuple) -> None:
     """Render nothing again but the row that failed."""
     _, first, second = broken_run
@@ -100,6 +103,7 @@ def test_second_run_renders_only_what_failed(broken_run: tuple) -> None:
     assert "Cycles 4 spp: " in second.stdout and second.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_wrong_reference_is_a_sentence(broken_run: tuple, fresh_python: Run) -> None:
     """Say in one sentence that a reference has another size, and go on with the next scene."""

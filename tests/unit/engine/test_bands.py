@@ -14,9 +14,10 @@ from burnish.engine import device
 @pytest.fixture(params=(1, 2, 5))
 def threads(request):
     """Use so many threads."""
+    before = device.thread_count()
     device.use_threads(request.param)
     yield request.param
-    device.use_threads(0)
+    device.use_threads(before)
 
 
 def test_each_job_runs_once(threads):

@@ -81,6 +81,7 @@ def test_a_mirror_lights_the_floor_before_it(gather, mirror_room):
     assert error(found[True]) < 0.8 * error(found[False])
 
 
+@pytest.mark.slow
 def test_half_a_mirror_keeps_its_light():
     """Neither lose nor win light where a plate reflects half sharply and half evenly, and rays choose by chance."""
     half = glossy(color=(0.45, 0.45, 0.45), metallic=0.5, roughness=0.05)

@@ -81,6 +81,7 @@ def truth():
     return made.read()[..., :3]
 
 
+@pytest.mark.slow
 def test_ends_take_noise_and_rays_off_and_keep_the_light(truth, monkeypatch):
     """Have two thirds of the squared error with fewer rays, and the light within 2 %, in a hall lit by its ceiling."""
     # On all devices as soon as on a processor.
