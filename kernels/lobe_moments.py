@@ -31,13 +31,14 @@ LOBE_NODES = wp.constant(16)
 """Of the table, along roughness and along the square root of the cosine: it varies most at grazing angles"""
 
 LOBE_SAMPLES = wp.constant(2048)
-"""Per node: errors below 0.002"""
+"""Per node: means of directions are off by less than 0.002"""
 
 # Weight of directions below the horizon, where a fit should be 0: shading normals lean away from the surface's, and
 # beyond their own horizon light may come from, too.
 BELOW_WEIGHT = wp.constant(0.05)
 
-# Roughness of the sharpest lobe: of sharper ones one would see ringing and noise.
+# Roughness of the sharpest lobe: of sharper ones one would see ringing and noise. Interpolation puts factors off by up
+# to 1.4 % there, by 0.5 % above.
 SHARPEST = wp.constant(0.5)
 
 COSINE_MIN = wp.constant(1.0e-3)
@@ -165,13 +166,13 @@ def fitted_albedo(moments: wp.array[wp.uint64], m: SurfaceMaterial, cosine: floa
     fu = u - float(i)
     fv = v - float(j)
     at = (j * LOBE_NODES + i) * 2
-    next = at + 2 * LOBE_NODES
+    above = at + 2 * LOBE_NODES
     low = wp.lerp(table_albedo(moments, at), table_albedo(moments, at + 2), fu)
-    high = wp.lerp(table_albedo(moments, next), table_albedo(moments, next + 2), fu)
+    high = wp.lerp(table_albedo(moments, above), table_albedo(moments, above + 2), fu)
     straight = wp.lerp(low, high, fv)
     # That of f90 falls with the fifth power of what lies between the nodes: its root is nearly straight there.
     low = wp.lerp(fourth_root(moments, at + 1), fourth_root(moments, at + 3), fu)
-    high = wp.lerp(fourth_root(moments, next + 1), fourth_root(moments, next + 3), fu)
+    high = wp.lerp(fourth_root(moments, above + 1), fourth_root(moments, above + 3), fu)
     grazing = m.f90 * sqr(sqr(wp.lerp(low, high, fv))) + m.coat
     return m.f0 * straight + wp.vec3(grazing, grazing, grazing)
 
