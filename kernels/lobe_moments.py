@@ -35,7 +35,7 @@ LOBE_SAMPLES = wp.constant(2048)
 
 # Weight of directions below the horizon, where a fit should be 0: shading normals lean away from the surface's, and
 # beyond their own horizon light may come from, too.
-BELOW_WEIGHT = wp.constant(0.05)
+BELOW_WEIGHT = wp.constant(0.03)
 
 # Roughness of the sharpest lobe: of sharper ones one would see ringing and noise. Interpolation puts factors off by up
 # to 1.4 % there, by 0.5 % above.

@@ -45,10 +45,6 @@ REFLECTANCE_MIN = wp.constant(1.0e-3)
 WEAK_ALBEDO = wp.constant(0.05)
 STRONG_ALBEDO = wp.constant(0.15)
 
-# The range over which diffuse light takes over from samples is so many times as wide as that over which look-ups take
-# over from rays: a rough metal beside a bright bar has 2 % more light from it.
-DIFFUSE_BLEND = wp.constant(2.0)
-
 # Roughness from which a probe's cells, some 20 degrees wide, are fine enough for what a base under a coat reflects, and
 # the share of it below which the coat's roughness counts as sharp.
 COATED_ROUGHNESS = wp.constant(0.3)
@@ -76,8 +72,7 @@ class ReflectionOptions:
     diffuse: float
     """Roughness from which the diffuse result stands in (the paper's r_diffuse)"""
     blend: float
-    """Width of the zone of roughness above `traced` in which two methods blend; that below `diffuse` is DIFFUSE_BLEND
-    times as wide"""
+    """Width of the zones of roughness above `traced` and below `diffuse` in which two methods blend"""
     half_rate: int
     """1: while only the camera moves, half of the blocks may do without a sample (reflection_turns.py)"""
 
@@ -170,8 +165,7 @@ def sampled_share(options: ReflectionOptions, roughness: float) -> float:
     """Return the share of a reflection that samples bring (rays or probes); the rest is diffuse light."""
     if options.lobe != LOBE_REFLECTION:
         return 1.0
-    width = DIFFUSE_BLEND * options.blend
-    return fading(roughness, options.diffuse - width, width)
+    return fading(roughness, options.diffuse - options.blend, options.blend)
 
 
 @wp.func
