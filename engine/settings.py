@@ -234,8 +234,8 @@ class ReflectionSettings:
         0.6, "Roughness from which diffuse light stands in for reflections; the paper's r_diffuse. Lower saves time "
         "on rough surfaces and blurs them more", low=0.0, high=1.0)
     roughness_blend: float = setting(
-        0.1, "Range of roughness over which look-ups take over from rays, and diffuse light from both: hides their "
-        "borders; costs rays", low=0.0, high=0.5)
+        0.1, "Range of roughness over which look-ups take over from rays, and half of that over which diffuse light "
+        "takes over from both: hides their borders; costs rays", low=0.0, high=0.5)
     resolution: ReflectionResolution = setting(
         ReflectionResolution.HALF, "Pixels that share a ray in each frame, in turns: fewer are sharper in motion and "
         "cost rays")

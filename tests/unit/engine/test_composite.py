@@ -168,7 +168,7 @@ class Setup:
         if not self.has[0]:
             return rough
         sharpest = np.where(self.coated, np.minimum(self.roughness, self.coat_roughness), self.roughness) / 65535
-        share = 1.0 - smooth_step((sharpest - 0.5) / 0.1)[:, None]
+        share = 1.0 - smooth_step((sharpest - 0.55) / 0.05)[:, None]
         return rough * (1.0 - share) + self.images[0] * share
 
     @property
