@@ -106,7 +106,7 @@ def place_of(
 ) -> Place:
     """Return what a pixel asks for."""
     p = bare_place(view, grid, s, pixel)
-    p.diffuse = world_basis(s.normal, 1.0, 1.0)
+    p.diffuse = world_basis(s.normal)
     p.lobe = p.diffuse
     if gbuffer.specular[pixel] != wp.uint32(0):
         m = load_material(gbuffer, pixel)

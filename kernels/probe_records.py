@@ -36,17 +36,15 @@ WorldBands = wp.types.vector(length=9, dtype=wp.float32)
 
 
 @wp.func
-def world_basis(d: wp.vec3, first: float, second: float) -> WorldBands:
-    """Return the functions that the coefficients of a record belong to, times a factor for l = 1 and for l = 2.
+def world_basis(d: wp.vec3) -> WorldBands:
+    """Return the functions that the coefficients of a record belong to.
 
     1; x, y, z; x^2 - z^2, y^2 - z^2, 2 x y, 2 y z, 2 x z: the last five take a traceless symmetric matrix.
     """
     x = d[0]
     y = d[1]
     z = d[2]
-    return WorldBands(
-        1.0, x * first, y * first, z * first, (x * x - z * z) * second, (y * y - z * z) * second,
-        2.0 * x * y * second, 2.0 * y * z * second, 2.0 * x * z * second)
+    return WorldBands(1.0, x, y, z, x * x - z * z, y * y - z * z, 2.0 * x * y, 2.0 * y * z, 2.0 * x * z)
 
 
 @wp.func
