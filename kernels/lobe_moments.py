@@ -18,7 +18,7 @@ import warp as wp
 from .albedo_tables import plane_point, view_at
 from .fresnel import grazing_share
 from .gbuffer import SurfaceMaterial
-from .geometry_math import sqr
+from .geometry_math import PI, TWO_PI, sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
 from .packed_halves import pack_halves, pack_pair, unpack_pair, unpack_pairs
 from .probe_records import WorldBands
@@ -43,12 +43,10 @@ SHARPEST = wp.constant(0.5)
 
 COSINE_MIN = wp.constant(1.0e-3)
 
-PI = wp.constant(3.14159265358979)
-
 # From a coefficient of radiance to that of irradiance / pi, which records hold (probe_records.world_basis).
-SCALE_0 = wp.constant(4.0 * 3.14159265358979)
-SCALE_1 = wp.constant(2.0 * 3.14159265358979)
-SCALE_2 = wp.constant(32.0 / 15.0 * 3.14159265358979)
+SCALE_0 = wp.constant(4.0 * PI)
+SCALE_1 = TWO_PI
+SCALE_2 = wp.constant(32.0 / 15.0 * PI)
 
 LobeFit = wp.types.vector(length=7, dtype=wp.float32)
 """Albedo; its product with the factors of 1, x, z, P2(z), 2 x z and x^2 - y^2: x towards the mirror direction, z along
@@ -56,11 +54,11 @@ the normal. What is odd in y is 0"""
 
 
 @wp.func
-def fitted(mean: wp.vec3, p2: float, xz: float, across: float) -> LobeFit:
+def fitted(mean: wp.vec2, p2: float, xz: float, across: float) -> LobeFit:
     """Return the fit of a lobe of albedo 1.
 
     Args:
-        mean: Its mean direction.
+        mean: Its mean direction's x and z.
         p2: Mean of P2(z) = (3 z^2 - 1) / 2.
         xz: Mean of x z.
         across: Mean of x^2 - y^2.
@@ -73,9 +71,9 @@ def fitted(mean: wp.vec3, p2: float, xz: float, across: float) -> LobeFit:
         odd / 2.0, even / 3.0, odd / 8.0,
         0.0, odd / 8.0, even / 5.0)
     inverse = wp.inverse(products)
-    up = inverse * wp.vec3(1.0, mean[2], p2) / (2.0 * PI)
+    up = inverse * wp.vec3(1.0, mean[1], p2) / TWO_PI
     # The hemisphere's integrals of the three: what the fit's own lacks goes where it does least harm.
-    whole = wp.vec3(2.0 * PI, PI, 0.0)
+    whole = wp.vec3(TWO_PI, PI, 0.0)
     lean = inverse * whole
     up += lean * ((1.0 - wp.dot(whole, up)) / wp.dot(whole, lean))
     # Those of x and x z, by pi.
@@ -119,7 +117,7 @@ def integrate_lobes(
     root = float(index // 2 // LOBE_NODES) / float(LOBE_NODES - 1)
     wo = view_at(wp.max(root * root, COSINE_MIN))
     albedo = float(0.0)
-    mean = wp.vec3(0.0, 0.0, 0.0)
+    mean = wp.vec2(0.0, 0.0)
     p2 = float(0.0)
     xz = float(0.0)
     across = float(0.0)
@@ -127,7 +125,7 @@ def integrate_lobes(
     while i < samples:
         s = lobe_sample(wo, alpha, grazing, i)
         albedo = albedo + s[3]
-        mean += wp.vec3(-s[0], 0.0, s[2]) * s[3]
+        mean += wp.vec2(-s[0], s[2]) * s[3]
         p2 = p2 + (1.5 * s[2] * s[2] - 0.5) * s[3]
         xz = xz - s[0] * s[2] * s[3]
         across = across + (s[0] * s[0] - s[1] * s[1]) * s[3]
@@ -138,6 +136,32 @@ def integrate_lobes(
     moments_out[2 * index] = pack_halves(wp.vec4(fit[1], fit[2], fit[3], fit[4]))
     moments_out[2 * index + 1] = wp.uint64(pack_pair(fit[5], fit[6])) | (
         wp.uint64(wp.cast(albedo, wp.uint32)) << wp.uint64(32))
+
+
+@wp.struct
+class TablePlace:
+    """Where a lobe lies between the table's nodes."""
+
+    node: int
+    """The lowest of the four; the others are one and LOBE_NODES on"""
+    across: float
+    """Way to the next roughness, 0..1"""
+    up: float
+    """Way to the next cosine"""
+
+
+@wp.func
+def table_place(roughness: float, cosine: float) -> TablePlace:
+    """Return where the lobe of a roughness in 0..1 lies, for a view's cosine with the normal."""
+    u = roughness * float(LOBE_NODES - 1)
+    v = wp.sqrt(wp.clamp(cosine, COSINE_MIN, 1.0)) * float(LOBE_NODES - 1)
+    i = wp.min(int(u), LOBE_NODES - 2)
+    j = wp.min(int(v), LOBE_NODES - 2)
+    place = TablePlace()
+    place.node = j * LOBE_NODES + i
+    place.across = u - float(i)
+    place.up = v - float(j)
+    return place
 
 
 @wp.func
@@ -159,21 +183,16 @@ def fitted_albedo(moments: wp.array[wp.uint64], m: SurfaceMaterial, cosine: floa
     What the G-buffer's `specular` was fitted to: they differ by up to 4 % (f0 and f90 follow Schlick, materials don't),
     so samples divided by this are white under a white sky, and those divided by that are not.
     """
-    u = wp.clamp(m.roughness, 0.0, 1.0) * float(LOBE_NODES - 1)
-    v = wp.sqrt(wp.clamp(cosine, COSINE_MIN, 1.0)) * float(LOBE_NODES - 1)
-    i = wp.min(int(u), LOBE_NODES - 2)
-    j = wp.min(int(v), LOBE_NODES - 2)
-    fu = u - float(i)
-    fv = v - float(j)
-    at = (j * LOBE_NODES + i) * 2
+    place = table_place(wp.clamp(m.roughness, 0.0, 1.0), cosine)
+    at = 2 * place.node
     above = at + 2 * LOBE_NODES
-    low = wp.lerp(table_albedo(moments, at), table_albedo(moments, at + 2), fu)
-    high = wp.lerp(table_albedo(moments, above), table_albedo(moments, above + 2), fu)
-    straight = wp.lerp(low, high, fv)
+    low = wp.lerp(table_albedo(moments, at), table_albedo(moments, at + 2), place.across)
+    high = wp.lerp(table_albedo(moments, above), table_albedo(moments, above + 2), place.across)
+    straight = wp.lerp(low, high, place.up)
     # That of f90 falls with the fifth power of what lies between the nodes: its root is nearly straight there.
-    low = wp.lerp(fourth_root(moments, at + 1), fourth_root(moments, at + 3), fu)
-    high = wp.lerp(fourth_root(moments, above + 1), fourth_root(moments, above + 3), fu)
-    grazing = m.f90 * sqr(sqr(wp.lerp(low, high, fv))) + m.coat
+    low = wp.lerp(fourth_root(moments, at + 1), fourth_root(moments, at + 3), place.across)
+    high = wp.lerp(fourth_root(moments, above + 1), fourth_root(moments, above + 3), place.across)
+    grazing = m.f90 * sqr(sqr(wp.lerp(low, high, place.up))) + m.coat
     return m.f0 * straight + wp.vec3(grazing, grazing, grazing)
 
 
@@ -204,18 +223,14 @@ def lobe_bands(
         returns: Factors of the functions of probe_records.world_basis.
     """
     cosine = wp.clamp(wp.dot(n, wo), COSINE_MIN, 1.0)
-    u = wp.clamp(roughness, SHARPEST, 1.0) * float(LOBE_NODES - 1)
-    v = wp.sqrt(cosine) * float(LOBE_NODES - 1)
-    i = wp.min(int(u), LOBE_NODES - 2)
-    j = wp.min(int(v), LOBE_NODES - 2)
-    fu = u - float(i)
-    fv = v - float(j)
+    place = table_place(wp.clamp(roughness, SHARPEST, 1.0), cosine)
     # What reflects nothing at all has the shape of its first lobe.
     f0 = wp.max(f0, 1.0e-4)
-    node = j * LOBE_NODES + i
-    fit = (node_fit(moments, node, f0, f90) * (1.0 - fu) + node_fit(moments, node + 1, f0, f90) * fu) * (1.0 - fv)
+    node = place.node
+    low = wp.lerp(node_fit(moments, node, f0, f90), node_fit(moments, node + 1, f0, f90), place.across)
     node = node + LOBE_NODES
-    fit += (node_fit(moments, node, f0, f90) * (1.0 - fu) + node_fit(moments, node + 1, f0, f90) * fu) * fv
+    high = wp.lerp(node_fit(moments, node, f0, f90), node_fit(moments, node + 1, f0, f90), place.across)
+    fit = wp.lerp(low, high, place.up)
     fit = fit / wp.max(fit[0], 1.0e-6)
     mirror = n * cosine - wo
     # The view along the normal has no side.

@@ -46,8 +46,7 @@ WEAK_ALBEDO = wp.constant(0.05)
 STRONG_ALBEDO = wp.constant(0.15)
 
 # The range over which diffuse light takes over from samples is so many times as wide as that over which look-ups take
-# over from rays: below it lobes are sharper than the probes' harmonics, which show rough metal beside a bright bar as
-# much as 3 % too dark.
+# over from rays: below it lobes are sharper than the probes' harmonics.
 DIFFUSE_BLEND = wp.constant(0.5)
 
 # Roughness from which a probe's cells, some 20 degrees wide, are fine enough for what a base under a coat reflects, and
