@@ -8,6 +8,7 @@ import pytest
 import warp as wp
 from burnish.engine.lobe_moments import lobe_moments
 from burnish.kernels import lobe_moments as kernels
+from burnish.kernels.gbuffer import SurfaceMaterial
 from burnish.kernels.probe_records import WorldBands
 
 from tests.ggx_sums import directions, lobe_values
@@ -35,6 +36,16 @@ def read(n, wo, roughness, f0, f90):
     wp.launch(read_lobe, 1, [lobe_moments("cpu"), wp.vec3(*n), wp.vec3(*wo), roughness, f0, f90], [bands],
               device="cpu", block_dim=1)
     return bands.numpy()[0].astype(np.float64)
+
+
+@wp.kernel
+def read_albedo(
+    # In:
+    moments: wp.array[wp.uint64], material: SurfaceMaterial, cosine: float,
+    # Out:
+    albedo_out: wp.array[wp.vec3],
+):
+    albedo_out[0] = kernels.fitted_albedo(moments, material, cosine)
 
 
 def view(cosine, azimuth=0.0):
@@ -82,6 +93,19 @@ def test_white_sky_is_exact(roughness):
     for cosine in (0.01, 0.3, 1.0):
         bands = read(UP, view(cosine), roughness, 0.04, 1.0)
         assert abs(0.5 * bands[0] + 0.5 * bands[3] - 1.0) < 0.004
+
+
+@pytest.mark.parametrize("roughness", [0.35, 0.5, 0.62, 0.8, 1.0])
+@pytest.mark.parametrize("f0", [0.04, 0.4, 0.9])
+def test_albedo(f0, roughness):
+    """Know how much dielectrics and metals reflect of a white sky: facets of the former reflect more aslant."""
+    material = SurfaceMaterial()
+    material.f0, material.f90, material.roughness = wp.vec3(f0, f0, f0), 1.0, roughness
+    for cosine in (0.15, 0.3, 0.6, 0.9):
+        albedo = wp.zeros(1, dtype=wp.vec3, device="cpu")
+        wp.launch(read_albedo, 1, [lobe_moments("cpu"), material, cosine], [albedo], device="cpu", block_dim=1)
+        known = lobe_values(cosine, roughness, f0, 1.0, directions()).mean() * 2.0 * np.pi
+        assert abs(albedo.numpy()[0, 0] / known - 1.0) < 0.01, cosine
 
 
 def test_leaning_normals():
