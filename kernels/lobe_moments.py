@@ -21,7 +21,7 @@ from .fresnel import grazing_share, metal_part
 from .gbuffer import SurfaceMaterial
 from .geometry_math import PI, TWO_PI, mean_component, sqr
 from .ggx import ggx_reflection, sample_ggx_reflection
-from .packed_halves import pack_halves, pack_pair, unpack_pair, unpack_pairs
+from .packed_halves import join_words, pack_halves, pack_pair, unpack_pair, unpack_pairs
 from .probe_records import WorldBands
 from .specular_lobes import surface_alpha
 from .wide_loads import load_piece
@@ -142,7 +142,7 @@ def integrate_lobes(
     if grazing == 1:
         bits = pack_pair(wp.sqrt(wp.sqrt(albedo)), wp.sqrt(wp.sqrt(of_metals / float(samples))))
     moments_out[2 * index] = pack_halves(wp.vec4(fit[1], fit[2], fit[3], fit[4]))
-    moments_out[2 * index + 1] = wp.uint64(pack_pair(fit[5], fit[6])) | (wp.uint64(bits) << wp.uint64(32))
+    moments_out[2 * index + 1] = join_words(pack_pair(fit[5], fit[6]), bits)
 
 
 @wp.struct

@@ -8,7 +8,7 @@ import warp as wp
 from .filter_weights import PixelPlane, pixel_plane, surface_weight, unit_normal
 from .gbuffer import GBuffer, SurfaceMaterial, load_material
 from .geometry_math import is_finite3, max_component, mean_component
-from .packed_halves import half_bits, pack_halves, unpack_halves, unpack_pair
+from .packed_halves import join_words, pack_halves, pack_pair, unpack_halves, unpack_pair
 from .packing import rgb, rgba
 from .reflection_types import (
     LOBE_TRANSMISSION,
@@ -91,7 +91,7 @@ def light_strength(color: wp.vec3) -> float:
 @wp.func
 def pack_state(root: float, confidence: float, lobe: wp.uint32) -> wp.uint64:
     """Pack a block's ReflectionLight.state."""
-    return wp.uint64(half_bits(root) | (half_bits(confidence) << wp.uint32(16))) | (wp.uint64(lobe) << wp.uint64(32))
+    return join_words(pack_pair(root, confidence), lobe)
 
 
 @wp.func

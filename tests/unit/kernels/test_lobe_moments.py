@@ -30,12 +30,17 @@ def read_lobe(
     bands_out[0] = kernels.lobe_bands(moments, n, wo, roughness, f0, f90)
 
 
-def read(n, wo, roughness, f0, f90):
-    """Return the factors of a record's nine coefficients."""
-    bands = wp.zeros(1, dtype=WorldBands, device="cpu")
-    wp.launch(read_lobe, 1, [lobe_moments("cpu"), wp.vec3(*n), wp.vec3(*wo), roughness, f0, f90], [bands],
-              device="cpu", block_dim=1)
-    return bands.numpy()[0].astype(np.float64)
+@pytest.fixture(scope="module")
+def read(device):
+    """Return a function that returns the factors of a record's nine coefficients."""
+
+    def factors(n, wo, roughness, f0, f90):
+        bands = wp.zeros(1, dtype=WorldBands, device=device)
+        wp.launch(read_lobe, 1, [lobe_moments(device), wp.vec3(*n), wp.vec3(*wo), roughness, f0, f90], [bands],
+                  device=device, block_dim=1)
+        return bands.numpy()[0].astype(np.float64)
+
+    return factors
 
 
 @wp.kernel
@@ -77,7 +82,7 @@ def skies(count):
 @pytest.mark.parametrize("cosine", [0.05, 0.15, 0.3, 0.7, 1.0])
 @pytest.mark.parametrize(("roughness", "most"), [(0.65, 0.26), (0.8, 0.14), (1.0, 0.06)])
 @pytest.mark.parametrize(("f0", "f90"), [(0.9, 1.0), (0.04, 1.0), (0.04, 0.5), (1.0, 0.0)])
-def test_light_of_skies(cosine, roughness, most, f0, f90):
+def test_light_of_skies(read, cosine, roughness, most, f0, f90):
     """Find the light that a lobe reflects of skies with bright caps, in the mean of them without a bias."""
     lights, d = skies(48)
     lobe = lobe_values(cosine, roughness, f0, f90, d)
@@ -88,7 +93,7 @@ def test_light_of_skies(cosine, roughness, most, f0, f90):
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.5, 0.8, 1.0])
-def test_white_sky_is_exact(roughness):
+def test_white_sky_is_exact(read, roughness):
     """Reflect all of a white sky's light from every view."""
     for cosine in (0.01, 0.3, 1.0):
         bands = read(UP, view(cosine), roughness, 0.04, 1.0)
@@ -97,18 +102,18 @@ def test_white_sky_is_exact(roughness):
 
 @pytest.mark.parametrize("roughness", [0.35, 0.5, 0.62, 0.8, 1.0])
 @pytest.mark.parametrize("f0", [0.04, 0.4, 0.9])
-def test_albedo(f0, roughness):
+def test_albedo(device, f0, roughness):
     """Know how much dielectrics and metals reflect of a white sky: facets of the former reflect more aslant."""
     material = SurfaceMaterial()
     material.f0, material.f90, material.roughness = wp.vec3(f0, f0, f0), 1.0, roughness
     for cosine in (0.15, 0.3, 0.6, 0.9):
-        albedo = wp.zeros(1, dtype=wp.vec3, device="cpu")
-        wp.launch(read_albedo, 1, [lobe_moments("cpu"), material, cosine], [albedo], device="cpu", block_dim=1)
+        albedo = wp.zeros(1, dtype=wp.vec3, device=device)
+        wp.launch(read_albedo, 1, [lobe_moments(device), material, cosine], [albedo], device=device, block_dim=1)
         known = lobe_values(cosine, roughness, f0, 1.0, directions()).mean() * 2.0 * np.pi
         assert abs(albedo.numpy()[0, 0] / known - 1.0) < 0.01, cosine
 
 
-def test_leaning_normals():
+def test_leaning_normals(read):
     """Find the light of skies about a surface whose shading normal leans by 20 degrees, to all sides."""
     ratios = []
     lights, d = skies(24)
@@ -126,7 +131,7 @@ def test_leaning_normals():
     assert np.sqrt(((ratios - 1.0) ** 2).mean()) < 0.15 and abs(ratios.mean() - 1.0) < 0.05
 
 
-def test_lobes_turn_with_the_view():
+def test_lobes_turn_with_the_view(read):
     """Reflect what is opposite the view, whatever its azimuth."""
     d = directions(96)
     for azimuth in (0.0, 1.0, 3.0):
@@ -137,6 +142,6 @@ def test_lobes_turn_with_the_view():
         assert ahead > 0.5 > 0.3 > aside > behind
 
 
-def test_what_reflects_nothing_has_a_lobe():
+def test_what_reflects_nothing_has_a_lobe(read):
     """Give finite factors where both reflectances are 0."""
     assert np.isfinite(read(UP, view(0.5), 0.0, 0.0, 0.0)).all()
