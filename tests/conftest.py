@@ -23,8 +23,6 @@ BLENDER_TIMEOUT = 120.0
 SCRIPT_START = f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); import conftest\n"
 """What scripts in child processes begin with: makes `burnish` this checkout"""
 
-os.environ.setdefault("PYTHONDONTWRITEBYTECODE", "1")
-
 
 def _load_package() -> None:
     """Make `burnish` this checkout, even where another one (or none) is installed."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 START = """
 import sys, threading, bpy, burnish
 burnish.register()
@@ -38,6 +40,7 @@ assert not threads()
 """)
 
 
+@pytest.mark.slow
 def test_stopping_leaves_the_rest(fresh_python):
     """Stop between two modules; what was left out is imported when it is asked for."""
     run(fresh_python, """

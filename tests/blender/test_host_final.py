@@ -216,7 +216,7 @@ def read_parts(path: Path) -> tuple[list[str], list[float]]:
     return names, ramp
 
 
-@pytest.mark.parametrize("cropped", [False, True])
+@pytest.mark.parametrize("cropped", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_border(run_host, tmp_path, cropped):
     """Render inside the border only; Blender keeps the frame's size unless it is cropped to."""
     target = tmp_path / "border.exr"
@@ -341,7 +341,7 @@ assert "Triangles: 12" in text, text
 """)
 
 
-@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("persistent", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_animation_keeps_its_session_with_persistent_data(run_host, tmp_path, persistent):
     """Open a session for each frame, or one for all with Persistent Data; close all of them in the end."""
     run_host(f"""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 SNAPSHOT = """
 import bpy, burnish
 
@@ -249,6 +251,7 @@ burnish.unregister()
     assert result.returncode == 0 and result.stdout.rstrip().endswith("done"), result.stdout + result.stderr
 
 
+@pytest.mark.slow
 def test_importing_the_engine_loads_no_bpy(fresh_python):
     """Import the package and its engine without bpy."""
     result = fresh_python("import sys, burnish, burnish.addon, burnish.engine.session\n"

@@ -234,7 +234,7 @@ print("OK")
 
 @pytest.mark.parametrize("script", [
     pytest.param(BYTES_MATCH, id="bytes"), pytest.param(FLOATS_MATCH, id="floats"),
-    pytest.param(SPACES_MATCH, id="spaces"), pytest.param(BLENDER_ONLY, id="blender_only"),
+    pytest.param(SPACES_MATCH, id="spaces", marks=pytest.mark.slow), pytest.param(BLENDER_ONLY, id="blender_only"),
     pytest.param(MISSING, id="missing"), pytest.param(CHANGES, id="changes"),
 ])
 def test_images_are_what_blender_shows(run_python: Callable[..., CompletedProcess], script: str) -> None:

@@ -235,6 +235,7 @@ def test_unwritable_output(sentence: Callable) -> None:
     assert "can't be saved" in sentence("unwritable")
 
 
+@pytest.mark.slow
 def test_failing_kernel(scenes: Path, run_python: Run, tmp_path: Path) -> None:
     """Turn a failure in the middle of sampling into a sentence, without a file, through the real RenderEngine."""
     script = """

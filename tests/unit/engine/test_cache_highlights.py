@@ -41,7 +41,11 @@ FRAMES_IN_MOTION = {"denoiser": {"path_traced_rest": False, "rest_gather": False
 """Settings with which light comes by the probes alone"""
 
 
-@pytest.mark.parametrize("groups", [{}, FRAMES_IN_MOTION], ids=["gathered", "probes"])
+WAYS = [pytest.param({}, id="gathered"), pytest.param(FRAMES_IN_MOTION, id="probes", marks=pytest.mark.slow)]
+"""Settings by which light comes to a pixel"""
+
+
+@pytest.mark.parametrize("groups", WAYS)
 @pytest.mark.parametrize(("roughness", "metallic", "color"), [(0.5, 0.0, 0.2), (0.5, 1.0, 0.6)], ids=["stone", "metal"])
 def test_the_sun_comes_down_a_wall(roughness, metallic, color, groups):
     """Find as much light below a wall as path traced: it reflects the sun to the ground, not to all sides."""
@@ -54,7 +58,7 @@ def test_matte_walls_leave_the_ground_dark():
     assert floor_light(arcade(0.5, [SUN], 0.0, 1.0, 0.6), cache={"highlights": False}) < 0.6
 
 
-@pytest.mark.parametrize("groups", [{}, FRAMES_IN_MOTION], ids=["gathered", "probes"])
+@pytest.mark.parametrize("groups", WAYS)
 def test_a_sky_is_counted_once(groups):
     """Find no more and no less light under a sky without direction, which highlights don't change."""
     scene = arcade(0.5, [], 1.0)

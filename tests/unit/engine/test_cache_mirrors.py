@@ -65,7 +65,7 @@ def mirror_room():
             picture(open_session(room.delta, room.camera, follow=False, gather=False), 48))
 
 
-@pytest.mark.parametrize("gather", [False, True])
+@pytest.mark.parametrize("gather", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_mirror_lights_the_floor_before_it(gather, mirror_room):
     """Bring what a mirror shows to the floor before it, the ceiling's lamp too, by probes and by final gather."""
     room, truth, without = mirror_room

@@ -45,6 +45,7 @@ LARGE = scenes.lamp("AREA", 400.0, scenes.place(0.3, 0.2, 4.0), shape="SQUARE", 
 BALL = scenes.lamp("POINT", 300.0, scenes.place(-0.5, 0.5, 4.0), radius=1.0, soft_falloff=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("panes", "lights"), [
     pytest.param([(CEILING, glass())], [LARGE], marks=pytest.mark.slow),
     ([(CEILING, principled((0.4, 0.7, 0.9)))], [LARGE]),
@@ -61,6 +62,7 @@ def test_same_light(panes, lights):
     assert shared.mean((0, 1)) == pytest.approx(alone.mean((0, 1)), rel=0.03)
 
 
+@pytest.mark.slow
 def test_mesh_that_shines():
     """Find the light of an emissive mesh behind a pane, which both ways meet, once."""
     panes = [(CEILING, glass()), (slab((-1, -1, 3.5), (1, 1, 3.6)), scenes.emitter(8.0, 0.0))]

@@ -61,7 +61,7 @@ def test_guides_are_kept_until_the_view_changes():
     assert second is not first and np.abs(second[0].numpy() - first[0].numpy()).max() > 0.1
 
 
-@pytest.mark.parametrize("name", GUIDED)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "satin" else pytest.mark.slow) for n in GUIDED])
 def test_samples_collect_the_same_guides(name):
     """Collect in the path tracer's samples what guides that are found by themselves show, but for noise."""
     kind, values = GUIDED[name]

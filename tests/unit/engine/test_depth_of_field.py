@@ -244,6 +244,7 @@ def kernels(session):
     return [kernel for _, kernel in session.pipeline.launches()]
 
 
+@pytest.mark.slow
 def test_scenes_without_depth_of_field_have_no_part_of_it():
     """Launch nothing for a pinhole, or with the setting off, and give the same bits."""
     delta, view = defocus_scenes.floor((48, 27))

@@ -104,6 +104,7 @@ def racing(device, monkeypatch):
     monkeypatch.setattr("burnish.engine.passes.radiance_cache.threads_race", lambda _: True)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("racing")
 def test_order_of_threads_does_not_matter_with_the_option():
     """Get the same bits when all threads run in another order; without the option only nearly."""
@@ -121,6 +122,7 @@ def test_order_of_threads_does_not_matter_with_the_option():
     assert 0.0 < differences[False] < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("racing")
 def test_order_of_lists_does_not_matter():
     """Get the same bits with lists of what needs work, as on CUDA, in any order, as without them."""

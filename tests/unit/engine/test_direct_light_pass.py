@@ -152,6 +152,7 @@ def test_curved_surface():
         np.testing.assert_allclose(mean[inside].mean(), expected[inside].mean(), rtol=0.012, err_msg=name)
 
 
+@pytest.mark.slow
 def test_coarse_surface():
     """Give the path tracer's light on a coarse smooth ball where it grazes, at half rate too: no triangle cuts it."""
     turn, sun = np.eye(4), np.eye(4)

@@ -74,6 +74,7 @@ def test_smooth_worlds_are_left_to_probes(world):
     assert split.share == 0.0 and split.threshold == pytest.approx(float(NO_THRESHOLD))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cosine", [0.9999, 0.9999905, 0.95], ids=["moon", "sun", "window"])
 @pytest.mark.parametrize("sky", [0.0, 0.5])
 def test_power_of_the_excess(cosine, sky):

@@ -207,6 +207,7 @@ def lit_floor(lights, kind="DIFFUSE", *objects, background=0.3, **arguments):
                         lights=lights, background=background)
 
 
+@pytest.mark.slow
 @INTEGRATORS
 def test_shadow(settings):
     """Find how much of two suns' light arrives below a lid that hides the one above: the world doesn't count."""

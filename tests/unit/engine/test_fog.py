@@ -83,6 +83,7 @@ def test_emission_grows_with_the_way():
     assert seen(fog_box(medium), 1) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_scattering_once_is_the_integral():
     """Scatter a sun's light in thin fog: its depth times the phase function, which prefers straight on."""
     density, irradiance, found = 1e-3, 50.0, []
@@ -92,6 +93,7 @@ def test_scattering_once_is_the_integral():
     assert found == pytest.approx([back, on], rel=0.02)
 
 
+@pytest.mark.slow
 def test_light_of_a_near_lamp_is_the_integral():
     """Scatter a lamp's light towards the camera along rays that pass it at 0.2 m; little is scattered twice."""
     extinction, scattering, apart = 0.5, 0.01, 0.2

@@ -144,6 +144,7 @@ def races(graph, cells=frozenset(), surfaces=frozenset()):
     return found, beside
 
 
+@pytest.mark.slow
 def test_branches_do_not_race():
     """Record frames in motion and at rest with every pass, and unseen ones: what runs side by side is independent."""
     settings = replace(

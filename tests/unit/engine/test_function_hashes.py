@@ -11,6 +11,8 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 CODE = """
 import json
 from burnish.engine import device
@@ -28,6 +30,7 @@ print(json.dumps({"hashes": hashes, "calls": len(calls)}))
 """
 
 
+@pytest.mark.slow
 def test_shared_hashes_are_those_of_each_module(run_python: Callable[..., subprocess.CompletedProcess]) -> None:
     """Make the same hash of a module with shared hashes, so that built kernels are found, for less work."""
     runs = [run_python(CODE, how) for how in ("alone", "shared")]

@@ -93,6 +93,7 @@ def test_lean_programs_of_hair_change_nothing(monkeypatch: pytest.MonkeyPatch) -
         assert ours.mean() == pytest.approx(full.mean(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_first_frame_is_near_the_mean() -> None:
     """Have no dark and no blown-up first frame, and no speckles: sparks are spread over neighbours."""
     scene, setup = furry(PALE, BEFORE), Setup(SIZE)
@@ -131,6 +132,7 @@ def test_hair_that_moves() -> None:
     assert way == pytest.approx(0.24 * 20 / 0.65, rel=0.15)
 
 
+@pytest.mark.slow
 def test_light_that_goes_off() -> None:
     """Twelve frames after the lamp went off at most 2 % of its light is left in the hair."""
     scene, setup = furry(BROWN, BEFORE), Setup(SIZE)

@@ -15,6 +15,7 @@ from tests.scenes import DEVICE
 from tests.unit.engine.test_structures import MATERIALS, check
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [1, 2])
 def test_hair_of_instances_is_met(levels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Meet the strands of hair, which are tubes in the tree, flattened, instanced, mirrored, moved and deformed."""

@@ -41,6 +41,7 @@ def test_known_tiles_take_turns(large):
     assert abs(np.where(chess == 1, first, 1.0 - first)[inner].mean() - 0.5) > 0.45
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["new", "moving object", "edited light", "small", "switched off", "at rest"])
 def test_all_tiles_have_light_otherwise(kind, monkeypatch):
     """Take light from the probes everywhere before means are long, in small pictures, while things change, at rest."""

@@ -40,6 +40,7 @@ def where(run_python: Callable[..., subprocess.CompletedProcess], folder: Path, 
     return Path(result.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_warp_keeps_kernels_in_the_chosen_folder(
         run_python: Callable[..., subprocess.CompletedProcess], tmp_path: Path) -> None:
     """Keep built kernels in a folder of the chosen one, which is made if need be."""

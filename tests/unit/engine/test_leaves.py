@@ -43,6 +43,7 @@ def closed_box(material):
     return LitScene(delta, look_at((0.3, -0.8, 0.2), (-0.2, 1.0, -0.3), SIZE, 1.4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [1, 24])
 def test_leaves_give_more_than_they_get(frames):
     """Match Reference where leaves that give 1.4 of what they get shine on each other, from the first frame on."""
@@ -80,6 +81,7 @@ def test_translucent_walls_do_not_overshoot():
     assert 0.85 < ratio < 1.15
 
 
+@pytest.mark.slow
 def test_light_without_end_stays_finite():
     """Bound the light of a closed room that gives 1.6 of what it gets."""
     builder = ProgramBuilder()

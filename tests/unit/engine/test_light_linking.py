@@ -140,6 +140,7 @@ def test_each_lamp_lights_its_own_square(integrator: Integrator) -> None:
     assert np.allclose(right, green[1], rtol=0.03, atol=0.01), (right, alone)
 
 
+@pytest.mark.slow
 @INTEGRATORS
 def test_edits_of_links_are_drawn(integrator: Integrator) -> None:
     """Follow lamps and objects that change their sets, and forget the light of before."""

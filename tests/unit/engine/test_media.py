@@ -120,6 +120,7 @@ def test_what_scatters_all_is_not_seen_in_an_even_world(anisotropy):
     assert seen(boxes(cloud(3.0, anisotropy)), 128) == pytest.approx([1.0] * 3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_scattering_once_is_the_integral():
     """Scatter a sun's light in a thin medium: its depth times the phase function, which prefers straight on."""
     turned = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -160,6 +161,7 @@ def test_the_worlds_medium_hides_the_world_and_suns():
     assert seen(foggy(absorber(0.1, 0.5, 0.0), **shining)) == pytest.approx(np.exp([-0.3, -1.5, 0.0]), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_few_paths_come_back_from_far_away(monkeypatch):
     """End most paths that fog has scattered far from all lights, for a fraction of the rounds and the same mean."""
     lamp = scenes.lamp("POINT", 20.0, scenes.place(x=0.3, z=1.0), radius=0.2)

@@ -67,6 +67,7 @@ def test_a_mirror_shows_highlights(lamp):
     assert abs(np.minimum(picture, brightest).mean() / np.minimum(truth, brightest).mean() - 1.0) < 0.17
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.2, 0.28])
 def test_a_mirror_shows_the_sun_in_a_polished_floor(roughness):
     """Find the highlight where few rays go on over the floor, and fewer meet the sun: about 0.3 without samples."""
@@ -76,6 +77,7 @@ def test_a_mirror_shows_the_sun_in_a_polished_floor(roughness):
     assert picture.max() < 150.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.1, 0.25])
 def test_a_polished_floor_shows_the_sky_once(roughness):
     """Find no more and no less light where rays and light samples share a sky."""
@@ -83,6 +85,7 @@ def test_a_polished_floor_shows_the_sky_once(roughness):
     assert picture.mean() == pytest.approx(truth.mean(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_the_dark_side_of_metal():
     """Find the highlight of a metal ball where it is, instead of an even light."""
     picture, truth = shown(metal_ball(), 24)

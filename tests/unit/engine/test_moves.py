@@ -71,6 +71,7 @@ def test_a_picture_is_the_mean_over_its_moments(change):
         assert np.abs(after["Emission"] - before["Emission"]).max() > 1.0
 
 
+@pytest.mark.slow
 def test_guides_are_means_over_moments():
     """Show the denoiser a thing at both of its places, at half its weight; call that noisy whatever the number."""
     moved = opened(scene(-0.4))

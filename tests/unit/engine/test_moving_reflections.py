@@ -190,6 +190,7 @@ def test_images_of_movers_lay_where_they_were(step):
     assert (np.abs(found[4:-4, SIZE[0] // 4 - 1, 0]) < 0.01).all()
 
 
+@pytest.mark.slow
 def test_movers_keep_their_means_in_mirrors():
     """Show a wall that slides past a mirror with less error than each pixel's samples of its own have."""
     delta, camera, change = moving_wall(0.06, (96, 60))

@@ -22,8 +22,8 @@ def floor_under_the_sun(slope, **closure):
     return LitScene(delta, look_at((2.7 * slope, -1.3 * slope, 3.0), (0.0, 0.0, 0.0), SIZE, 0.5))
 
 
-@pytest.mark.parametrize("slope", [1.0, 1.7, 2.7])
-@pytest.mark.parametrize("roughness", [0.3, 0.6, 0.8])
+@pytest.mark.parametrize("slope", [pytest.param(1.0, marks=pytest.mark.slow), 1.7, 2.7])
+@pytest.mark.parametrize("roughness", [0.3, pytest.param(0.6, marks=pytest.mark.slow), 0.8])
 def test_dielectrics_are_as_bright_from_aside(slope, roughness):
     """Match the path tracer within 2 %: 0.85 to 1.07 by Schlick's curve, whose albedo was right."""
     scene, setup = floor_under_the_sun(slope, roughness=roughness), Setup(SIZE, truth_samples=96)

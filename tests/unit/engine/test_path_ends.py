@@ -108,6 +108,7 @@ def test_later_samples_end_ever_less():
     assert not endings(0, 256).any()
 
 
+@pytest.mark.slow
 def test_frames_fill_the_cache_unseen():
     """Have frames between samples that are neither counted nor seen; none in small pictures or with whole paths."""
     made = open_session(Integrator.REALTIME)
@@ -200,6 +201,7 @@ def test_limits_of_bounces_are_kept(limits, ends):
     assert (made._realtime.frames > 0) == ends
 
 
+@pytest.mark.slow
 def test_launches_are_recorded_once(monkeypatch):
     """Record the launches of whole paths and of those that end once; again when arrays that they read are others.
 

@@ -127,6 +127,7 @@ def test_slivers_and_points():
     compare(one(soup(100, 3, 0.0, 3.0)), camera())
 
 
+@pytest.mark.slow
 def test_slivers_lie_where_they_are():
     """Meet a floor of triangles 200,000 times as long as wide where rays do, whichever of them a pixel shows.
 

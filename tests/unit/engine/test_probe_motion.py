@@ -66,7 +66,8 @@ def errors(step, frames, large, tile):
 
 
 @pytest.mark.parametrize(("large", "tile"), [(False, 16), (True, 16), (False, 8)])
-@pytest.mark.parametrize(("step", "frames"), [(0.04, 24), (0.01, 48), (0.0025, 96)])
+@pytest.mark.parametrize(("step", "frames"), [
+    (0.04, 24), (0.01, 48), pytest.param(0.0025, 96, marks=pytest.mark.slow)])
 def test_light_does_not_follow_the_camera(step, frames, large, tile):
     """Find on the floor that comes into view its own light, not that of the floor nearer to the wall.
 
@@ -119,6 +120,7 @@ def updates_in_flight(interval, moving=False):
     return np.array(updated), np.array(light)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("interval", "least", "most"), [(1, 1.0, 1.0), (2, 0.5, 0.85), (3, 0.33, 0.55), (4, 0.25, 0.5)])
 def test_updates_that_may_wait_take_turns(interval, least, most):

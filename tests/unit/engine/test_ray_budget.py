@@ -96,6 +96,7 @@ def test_bounce_rays_of_small_pictures_have_a_limit() -> None:
     assert spreading_rays(230_400, 2 * 640, 2 * 360) == 1 << 17
 
 
+@pytest.mark.slow
 def test_frames_are_made_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make a frame denser as on a GPU: four times the probes and reflection rays, its light within noise the same."""
     floor = scenes.material("PRINCIPLED", color=0.7, roughness=0.3, metallic=0.5)

@@ -48,6 +48,7 @@ def test_thin_wall_keeps_light_in():
     check(light_checks.thin_wall(LARGE, 32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kept", [pytest.param(0, id="none left", marks=pytest.mark.slow), pytest.param(1, id="a dim lamp left")])
 def test_light_goes_off_and_on(kept):
@@ -90,6 +91,7 @@ def hall_truth():
     return mean_in_hall(Integrator.REFERENCE, (60, 34), 512)
 
 
+@pytest.mark.slow
 def test_one_bright_place_lights_a_hall(hall_truth):
     """Find all light, within 1 %, where most comes from one place, a square metre of the ceiling.
 

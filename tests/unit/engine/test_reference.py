@@ -21,7 +21,7 @@ def room(albedo):
                         {"wall": scenes.emitter(1.0, albedo)})
 
 
-@pytest.mark.parametrize("albedo", [0.5, 0.9])
+@pytest.mark.parametrize("albedo", [pytest.param(0.5, marks=pytest.mark.slow), 0.9])
 def test_closed_furnace(albedo):
     """Find radiance e / (1 - albedo) everywhere in a closed emitting box: every bounce counts."""
     image = scenes.render(room(albedo), scenes.camera_above(height=0.5, half=0.3, orthographic=False), samples=1024)
@@ -339,6 +339,7 @@ def test_sun_and_sky_share_shadow_rays_by_what_they_bring():
     assert lit_noise < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["reference", "realtime"])
 def test_grazing_light_arrives_on_coarse_meshes(integrator):
     """Find the cosine of smooth normals along a sun's terminator, also where triangles face away from the sun."""

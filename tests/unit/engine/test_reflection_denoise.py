@@ -41,6 +41,7 @@ def test_white_light_gives_the_albedo(roughness: float) -> None:
     np.testing.assert_allclose(picture.mean(), albedo, rtol=0.008)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "tolerance"), [pytest.param(24, 0.015, marks=pytest.mark.slow), (96, 0.015)])
 def test_small_lamps_keep_their_light(size: int, tolerance: float) -> None:
     """Neither lose nor gain light of a lamp of few pixels over 64 frames at rest, against the samples given.
@@ -104,6 +105,7 @@ def rms_width(profile):
     return np.sqrt((profile * (x - middle) ** 2).sum() / profile.sum())
 
 
+@pytest.mark.slow
 def test_thin_lamps_keep_light_and_width_at_rest() -> None:
     """Show a thin strip light before a dark, far world as bright and as wide as its samples are, after a while at rest.
 

@@ -37,6 +37,7 @@ def test_known_blocks_take_turns(large, material):
     np.testing.assert_array_equal(inner[0] | inner[4], True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mirror", "no history", "new", "moving object", "edited light", "small"])
 def test_other_blocks_do_not_wait(kind, monkeypatch):
     """Sample every block of a mirror, without means or before they are long, in small pictures, while things change."""
@@ -49,6 +50,7 @@ def test_other_blocks_do_not_wait(kind, monkeypatch):
         assert step(pan, change_of(kind, index)).all(), index
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frames", "error", "waits"), [
     (16.0, 0.05, True), (16.0, 0.2, False), (5.0, 0.05, True), (3.0, 0.05, False), (-16.0, 0.05, False)])
 def test_noisy_blocks_do_not_wait(large, frames, error, waits):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests import scenes
 from tests.light_checks import Setup, luminance
@@ -27,6 +28,7 @@ def sun_over_a_floor():
     return LitScene(delta, look_at((0.0, -5.0, 1.6), (0.0, 0.0, 0.8), SIZE, 1.2))
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_no_highlight_of_the_camera():
     """Find Reference's light in a ball whose floor is in view: brighter than it looks from the ball."""
     setup = Setup(SIZE, truth_samples=256)

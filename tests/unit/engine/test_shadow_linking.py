@@ -86,6 +86,7 @@ def test_lamps_are_shaded_by_their_sets_alone(integrator: Integrator) -> None:
     np.testing.assert_allclose(shown(shadowed(blocked_by=(1, 2), blocks=0b111), integrator), dark, atol=1e-3)
 
 
+@pytest.mark.slow
 @INTEGRATORS
 def test_emissive_meshes_are_too(integrator: Integrator) -> None:
     """Let the light of an emissive mesh through a roof that is not in its set, and none through one that is."""

@@ -48,6 +48,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=() if name in ("rough diffuse", "glossy toon") else pytest.mark.slow) for name in SHAPES])
 def test_light_falls_as_the_material_reflects_it(name):

@@ -43,6 +43,7 @@ def squashed(axes: tuple[float, float, float]) -> list[tuple]:
     return placed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("instanced", "axes"), [
     pytest.param(instanced, axes, id=f"{instanced}-axes{i}", marks=() if i in fast else pytest.mark.slow)
     for instanced, fast in ((False, (1,)), (True, (2, 3)))
@@ -131,6 +132,7 @@ def test_forests_are_no_larger_than_they_may_be(monkeypatch: pytest.MonkeyPatch)
     check(made, shapes, placed)
 
 
+@pytest.mark.slow
 def test_room_of_what_has_gone_is_won_back() -> None:
     """Keep the buffers small, what rays meet and where surfaces were while a mesh has other triangles each time."""
     shapes = {**meshes(), "other": scenes.sphere(0.2, rings=6)}

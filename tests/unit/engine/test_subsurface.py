@@ -81,6 +81,7 @@ def shards():
     return scenes.mesh(positions, np.arange(60, dtype=np.int32).reshape(-1, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [scenes.quad(2.0), shards()], ids=["open", "shards"])
 @pytest.mark.parametrize("anisotropy", [-0.9, 0.0, 0.99])
 @pytest.mark.parametrize("method", METHODS)
@@ -92,6 +93,7 @@ def test_open_meshes_make_no_light(mesh, anisotropy, method):
     assert (found < 1.03).all() and found.max() > 0.05, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [
     {"subsurface_radius": (np.nan, 0.1, 0.1)}, {"subsurface_radius": (np.inf, 1e30, 1e-30)},
     {"subsurface_radius": (-1.0, -1.0, 1e-7)}, {"subsurface_anisotropy": np.nan}, {"subsurface_anisotropy": 1e9},

@@ -77,6 +77,7 @@ def test_methods_and_anisotropy_count(method) -> None:
     assert found == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "method"), [
     pytest.param(radius, method, marks=() if fast == method else pytest.mark.slow)
     for radius, fast in ((2e-3, "LEGACY"), (0.03, "SKIN"), (0.2, "WALK")) for method in ("WALK", "LEGACY", "SKIN")])
@@ -133,6 +134,7 @@ def test_a_moving_camera_keeps_the_light() -> None:
     assert picture[body].max() < 3.0 * truth[body].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [
     {"subsurface_radius": (np.nan, 0.1, np.inf)}, {"subsurface_radius": (-1.0, 1e30, 1e-30)},
     {"subsurface_anisotropy": np.nan}, {"color": (np.inf, -1.0, 1e9)}, {"roughness": np.nan}], ids=str)
@@ -152,6 +154,7 @@ def test_open_meshes_end_walks() -> None:
     assert np.isfinite(picture).all() and picture.min() >= 0.0
 
 
+@pytest.mark.slow
 def test_an_edit_reaches_what_is_below() -> None:
     """Show another radius after an edit as from the start, with all records made anew."""
     scene, other = lit(NEAR, BEHIND), lit(FAR, BEHIND)

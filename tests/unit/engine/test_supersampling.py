@@ -119,6 +119,7 @@ def test_frames_have_four_times_the_pixels(doubled: None, monkeypatch: pytest.Mo
     assert errors[0] < 0.8 * errors[1]
 
 
+@pytest.mark.slow
 def test_a_region_is_where_it_was(doubled: None) -> None:
     """Draw a region of a frame at the same place as all of it."""
     whole = render(FRAMES, 16)["Combined"]
@@ -139,6 +140,7 @@ def test_light_passes_make_up_the_picture(frames: int, doubled: None) -> None:
     assert np.abs(total - found["Combined"])[seen].mean() < 0.001 * found["Combined"][seen].mean()
 
 
+@pytest.mark.slow
 def test_a_picture_at_rest_takes_samples_in(doubled: None) -> None:
     """Blend frames of twice the size with path-traced samples of the picture's; the mean stays."""
     rested = dataclasses.replace(FRAMES, denoiser=DenoiserSettings(rest_frames=12))

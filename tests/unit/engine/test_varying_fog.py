@@ -125,6 +125,7 @@ def test_rays_walk_through_what_varies_alone():
     assert (ways.varies.numpy() == 1).any() and ways.weight.numpy().max() > 0.0
 
 
+@pytest.mark.slow
 def test_moved_fog_keeps_the_frame_that_was_recorded():
     """Move a body by the rows of its grids: nothing that a frame has recorded is elsewhere."""
     medium = ball(3.0)

@@ -79,6 +79,7 @@ def test_shadow_rays_are_dimmed():
     assert dimmed / clear == pytest.approx(np.exp([-0.2, -1.0, -2.0]), rel=0.05)
 
 
+@pytest.mark.slow
 def test_fog_of_the_world_is_as_low_as_it_says():
     """Look down through a fog that falls off with the height: what passes is its integral, not that of its cells."""
     builder = VolumeBuilder(optional=False)
@@ -168,6 +169,7 @@ def test_homogeneous_media_have_the_kernels_that_they_had(monkeypatch):
     assert set(recorded) >= VOLUME_KERNELS and not {"march_media", "scatter_paths"} & set(recorded)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extinction", [1e-30, 1e25, np.inf, np.nan, -1.0], ids=str)
 def test_no_input_makes_a_bad_pixel(extinction):
     """Stay finite."""

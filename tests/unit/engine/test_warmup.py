@@ -96,6 +96,7 @@ def test_who_listens_is_told(fresh: set[tuple[str, str]]) -> None:
             assert warm_up("cpu", None, Integrator.REFERENCE) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "integrator", [Integrator.REFERENCE, pytest.param(Integrator.REALTIME, marks=pytest.mark.slow)])
 def test_a_plain_scene_waits_for_no_other_kernels(integrator: Integrator, run_python) -> None:

@@ -153,6 +153,7 @@ def test_lookups_are_linear_and_clamped(arrays: dict[str, np.ndarray], struct: T
     np.testing.assert_allclose(ggx, [(e[10] + e[11]) / 2, e[0], e[31]], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_tables_do_not_depend_on_the_threads(arrays: dict[str, np.ndarray]) -> None:
     """Compute the same bits with two threads as with one."""
     for name, array in engine_tables.compute_tables(threads=2).items():

@@ -90,6 +90,7 @@ def estimates(absorption: tuple[float, float, float]) -> tuple[np.ndarray, np.nd
     return sampled, even
 
 
+@pytest.mark.slow
 def test_white_hair_keeps_all_light():
     """Without absorption as much light leaves as arrives, by both ways of sampling."""
     sampled, even = estimates((0.0, 0.0, 0.0))
@@ -99,6 +100,7 @@ def test_white_hair_keeps_all_light():
     np.testing.assert_allclose(even, 1.0, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_density_is_that_of_the_samples():
     """The density that sampling states is that of evaluation, sums to 1, and its weights bring the same light."""
     sampled, even = estimates((0.1, 0.5, 2.0))

@@ -142,6 +142,7 @@ def test_place_on_area(shape, device):
     np.testing.assert_allclose(met, drawn, atol=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [1.0, 2.0])
 def test_distance(power, device):
     """Multiply by powers of the distance, exactly, and by the direction's colour at the same time."""
@@ -153,6 +154,7 @@ def test_distance(power, device):
     np.testing.assert_allclose(drawn, expected, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_lamps_share_tables(monkeypatch, device):
     """Make a program's table once for all lamps alike, however they are turned, and not again where they move."""
     made = []

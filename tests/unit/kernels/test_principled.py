@@ -57,7 +57,8 @@ def cases(**fields: object) -> tuple[list, list]:
     return [closure(**fields) for _ in SEEN], [point(view(c), backfacing=back) for c, back in SEEN]
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if i % 2 else ()) for i, name in enumerate(MATERIALS)])
 def test_sampling_follows_the_pdf(name: str) -> None:
     """Pass a chi-squared test over the whole sphere, and integrate to at most 1."""
     closures, points = cases(**MATERIALS[name])

@@ -193,6 +193,7 @@ def test_boxes_hold_their_triangles(device: str, make: Callable[..., np.ndarray]
     check_boxes(Both(make(1500, offset=offset), device), np.arange(1500))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("eager")
 @pytest.mark.parametrize("offset", [0.0, 5000.0])
 @pytest.mark.parametrize("make", [soup, slivers])
