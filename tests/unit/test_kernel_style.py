@@ -108,9 +108,16 @@ def module_errors(source: str) -> list[str]:
     errors = [error for function in functions for error in signature_errors(function)]
     errors += [error for kernel in kernels for error in kernel_errors(kernel, lines)]
     errors += [f"{function.name} is nested" for function in functions if function not in tree.body]
+    errors += [f"{function.name} takes the bits of a half-float: pack_pair and pack_halves do"
+               for function in functions if any(map(takes_half_bits, ast.walk(function)))]
     if kernels and not {("enable_backward", False), ("default_grid_stride", False)} <= module_options(tree):
         errors.append("the file owns kernels and must set enable_backward and default_grid_stride to False")
     return errors
+
+
+def takes_half_bits(node: ast.AST) -> bool:
+    """Return whether an expression is wp.cast(..., wp.uint16): from packing such by shifts rubbish may come on CUDA."""
+    return isinstance(node, ast.Call) and called_name(node) == "cast" and ast.unparse(node.args[-1]) == "wp.uint16"
 
 
 def module_options(tree: ast.Module) -> set[tuple[str, object]]:
@@ -214,6 +221,8 @@ def double(
      "double: outputs must come last"),
     ("wp.set_module_options", "print",
      "the file owns kernels and must set enable_backward and default_grid_stride to False"),
+    ("return x + x", "return float(wp.uint32(wp.cast(wp.float16(x), wp.uint16)))",
+     "twice takes the bits of a half-float: pack_pair and pack_halves do"),
     ("    i = wp.tid()\n", "    i = wp.tid()\n" * 80, "double has 87 lines, more than 80"),
 ])
 def test_bad_style_is_found(old: str, new: str, expected: str) -> None:
