@@ -11,8 +11,8 @@ import warp as wp
 from .packing import HALF_MAX
 
 
-# On a GPU each pair is put together as a register: told by shifts, the assembler of CUDA 13.4 was seen to write the
-# upper word of two pairs over the lower one.
+# On a GPU each pair is put together as a register: told by shifts, the assembler (ptxas) of CUDA 13.4 and 13.5 was seen
+# to write the upper word of two pairs over the lower one.
 @wp.func_native("""
 #ifdef __CUDA_ARCH__
     wp::uint32 pair;
