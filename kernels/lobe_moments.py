@@ -172,15 +172,10 @@ def table_place(roughness: float, cosine: float) -> TablePlace:
 
 
 @wp.func
-def straight_albedo(moments: wp.array[wp.uint64], node: int) -> float:
-    """Return the albedo of the lobe that f0 multiplies, of a node."""
-    return wp.cast(load_piece(moments, 2 * node)[3], float)
-
-
-@wp.func
-def grazing_roots(moments: wp.array[wp.uint64], node: int) -> wp.vec2:
-    """Return the fourth roots of the albedo of the lobe that f90 multiplies, of a node: of dielectrics, of metals."""
-    return unpack_pair(load_piece(moments, 2 * node + 1)[3])
+def node_albedos(moments: wp.array[wp.uint64], node: int) -> wp.vec3:
+    """Return a node's albedo of the lobe of f0, and fourth roots of that of f90: of dielectrics, of metals."""
+    roots = unpack_pair(load_piece(moments, 2 * node + 1)[3])
+    return wp.vec3(wp.cast(load_piece(moments, 2 * node)[3], float), roots[0], roots[1])
 
 
 @wp.func
@@ -193,17 +188,14 @@ def fitted_albedo(moments: wp.array[wp.uint64], m: SurfaceMaterial, cosine: floa
     place = table_place(wp.clamp(m.roughness, 0.0, 1.0), cosine)
     node = place.node
     above = node + LOBE_NODES
-    low = wp.lerp(straight_albedo(moments, node), straight_albedo(moments, node + 1), place.across)
-    high = wp.lerp(straight_albedo(moments, above), straight_albedo(moments, above + 1), place.across)
-    straight = wp.lerp(low, high, place.up)
-    root = wp.lerp(grazing_roots(moments, node), grazing_roots(moments, node + 1), place.across)
-    root = wp.lerp(
-        root, wp.lerp(grazing_roots(moments, above), grazing_roots(moments, above + 1), place.across), place.up)
-    share = sqr(sqr(root[0]))
+    low = wp.lerp(node_albedos(moments, node), node_albedos(moments, node + 1), place.across)
+    high = wp.lerp(node_albedos(moments, above), node_albedos(moments, above + 1), place.across)
+    albedos = wp.lerp(low, high, place.up)
+    share = sqr(sqr(albedos[1]))
     # What metals lack of the lobe of f90 they reflect by f0.
-    metal = wp.lerp(share, sqr(sqr(root[1])), metal_part(mean_component(m.f0), m.f90))
+    metal = wp.lerp(share, sqr(sqr(albedos[2])), metal_part(mean_component(m.f0), m.f90))
     grazing = m.f90 * metal + m.coat
-    return m.f0 * (straight + share - metal) + wp.vec3(grazing, grazing, grazing)
+    return m.f0 * (albedos[0] + share - metal) + wp.vec3(grazing, grazing, grazing)
 
 
 @wp.func

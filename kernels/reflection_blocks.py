@@ -293,6 +293,6 @@ def gather_samples(
                 light = rgba(color, near)
                 confidence = float(1.0)
     blocks_out.mark[block] = wp.uint8(mark)
-    blocks_out.surface[block] = wp.uint64(wp.cast(depth, wp.uint32)) | (wp.uint64(normal) << wp.uint64(32))
+    blocks_out.surface[block] = join_words(wp.cast(depth, wp.uint32), normal)
     lights_out.light[block] = pack_halves(light)
     lights_out.state[block] = pack_state(light_strength(rgb(light)), confidence, lobe)

@@ -104,7 +104,6 @@ def test_second_run_renders_only_what_failed(broken_run: tuple) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_wrong_reference_is_a_sentence(broken_run: tuple, fresh_python: Run) -> None:
     """Say in one sentence that a reference has another size, and go on with the next scene."""
     output = broken_run[0]

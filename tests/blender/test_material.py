@@ -62,7 +62,6 @@ def test_agree_with_cycles(compared: dict[str, dict], family: str):
     assert not wrong, wrong
 
 
-@pytest.mark.slow
 def test_worlds_agree_with_cycles(found: dict):
     """Show Cycles' panorama within 1/255, and know which worlds are constant."""
     worlds = found["compare_worlds"]

@@ -24,10 +24,6 @@ from hypothesis import strategies
 SIZE = (16, 12)
 ALL = stress.all_cases()
 QUICK = stress.choose_cases(ALL, quick=True)
-RANDOM = 4
-"""Random scenes of a test"""
-
-
 @pytest.fixture(scope="module")
 def trial(device):
     """Return a trial whose sessions all tests share, as in the command."""
@@ -66,11 +62,12 @@ def test_small_and_large_scenes_look_the_same(trial, scale, limit):
     assert compare(expected, picture).flip < limit
 
 
-def test_random_scenes(trial):
+@pytest.mark.parametrize("count", [4, pytest.param(8, marks=pytest.mark.slow)])
+def test_random_scenes(trial, count):
     """Render random scenes, drawn by Hypothesis, without a bad pixel and without raising anything but sentences."""
     health = hypothesis.HealthCheck
 
-    @hypothesis.settings(max_examples=RANDOM, deadline=None, derandomize=True, database=None,
+    @hypothesis.settings(max_examples=count, deadline=None, derandomize=True, database=None,
                          suppress_health_check=[health.too_slow, health.data_too_large, health.large_base_example])
     @hypothesis.given(strategies.data())
     def example(data):

@@ -47,13 +47,13 @@ BALL = scenes.lamp("POINT", 300.0, scenes.place(-0.5, 0.5, 4.0), radius=1.0, sof
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("panes", "lights"), [
-    pytest.param([(CEILING, glass())], [LARGE], marks=pytest.mark.slow),
+    ([(CEILING, glass())], [LARGE]),
     ([(CEILING, principled((0.4, 0.7, 0.9)))], [LARGE]),
-    pytest.param([(CEILING, glass()), (SECOND, glass((0.9, 0.8, 0.7), ior=1.3))], [BALL], marks=pytest.mark.slow),
-    pytest.param([(slab((-6, -6, 2.1), (6, 6, 4.5)), glass())], [LARGE], marks=pytest.mark.slow),
-    pytest.param([(CEILING, glass(roughness=0.15))], [LARGE], marks=pytest.mark.slow),
+    ([(CEILING, glass()), (SECOND, glass((0.9, 0.8, 0.7), ior=1.3))], [BALL]),
+    ([(slab((-6, -6, 2.1), (6, 6, 4.5)), glass())], [LARGE]),
+    ([(CEILING, glass(roughness=0.15))], [LARGE]),
     ([(scenes.quad(6.0, 2.1), glass())], [LARGE]),
-    pytest.param([(scenes.sphere(0.7, 16), glass())], [BALL], marks=pytest.mark.slow)],
+    ([(scenes.sphere(0.7, 16), glass())], [BALL])],
     ids=["pane", "tinted", "two panes", "lamp within", "rough", "one surface", "ball of glass"])
 def test_same_light(panes, lights):
     """Find the light that paths find alone: behind panes with less noise, behind all other glass with the same."""

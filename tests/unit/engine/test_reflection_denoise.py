@@ -42,7 +42,7 @@ def test_white_light_gives_the_albedo(roughness: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("size", "tolerance"), [pytest.param(24, 0.015, marks=pytest.mark.slow), (96, 0.015)])
+@pytest.mark.parametrize(("size", "tolerance"), [(24, 0.015), (96, 0.015)])
 def test_small_lamps_keep_their_light(size: int, tolerance: float) -> None:
     """Neither lose nor gain light of a lamp of few pixels over 64 frames at rest, against the samples given.
 

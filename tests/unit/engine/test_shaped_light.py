@@ -49,8 +49,7 @@ SHAPES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [
-    pytest.param(name, marks=() if name in ("rough diffuse", "glossy toon") else pytest.mark.slow) for name in SHAPES])
+@pytest.mark.parametrize("name", SHAPES)
 def test_light_falls_as_the_material_reflects_it(name):
     """Match Reference under a lamp, over the whole ball and over its quarters."""
     kind, arguments = SHAPES[name]

@@ -97,8 +97,7 @@ def test_who_listens_is_told(fresh: set[tuple[str, str]]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "integrator", [Integrator.REFERENCE, pytest.param(Integrator.REALTIME, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("integrator", [Integrator.REFERENCE, Integrator.REALTIME])
 def test_a_plain_scene_waits_for_no_other_kernels(integrator: Integrator, run_python) -> None:
     """Find all that a floor, a box and a lamp need among what is built first, and hardly anything else in it."""
     root = str(Path(__file__).resolve().parents[3])
