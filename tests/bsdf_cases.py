@@ -11,6 +11,8 @@ from burnish.kernels.principled import evaluate_bsdf, prepare_bsdf, sample_bsdf
 from burnish.kernels.sampling import sample_pair
 from burnish.kernels.types import Closure, ShadingPoint, Tables
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 DEFAULTS = {
@@ -122,16 +124,16 @@ def prepare_emission(
 
 def _cases(closures: list[Closure], points: list[ShadingPoint]) -> list:
     """Return the first inputs of all kernels here."""
-    return [albedo_tables("cpu"), wp.array(closures, dtype=Closure, device="cpu"),
-            wp.array(points, dtype=ShadingPoint, device="cpu")]
+    return [albedo_tables(DEVICE), wp.array(closures, dtype=Closure, device=DEVICE),
+            wp.array(points, dtype=ShadingPoint, device=DEVICE)]
 
 
 def evaluate(closures: list[Closure], points: list[ShadingPoint], wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return f * |cos|, float[case, direction, 3], and the pdfs for wi, float[case, direction, 3]."""
     shape = wi.shape[:2]
-    outputs = [wp.zeros(shape, dtype=wp.vec3, device="cpu"), wp.zeros(shape, dtype=float, device="cpu")]
-    directions = wp.array(wi.astype(np.float32), dtype=wp.vec3, device="cpu")
-    wp.launch(evaluate_pairs, shape, [*_cases(closures, points), directions], outputs, device="cpu")
+    outputs = [wp.zeros(shape, dtype=wp.vec3, device=DEVICE), wp.zeros(shape, dtype=float, device=DEVICE)]
+    directions = wp.array(wi.astype(np.float32), dtype=wp.vec3, device=DEVICE)
+    wp.launch(evaluate_pairs, shape, [*_cases(closures, points), directions], outputs, device=DEVICE)
     return outputs[0].numpy(), outputs[1].numpy()
 
 
@@ -139,15 +141,15 @@ def sample(closures: list[Closure], points: list[ShadingPoint], count: int) -> d
     """Return the fields of `count` samples a case, [case, sample, ...]."""
     shape = (len(closures), count)
     names = {"wi": wp.vec3, "weight": wp.vec3, "pdf": float, "kind": int, "delta": int}
-    outputs = {name: wp.zeros(shape, dtype=dtype, device="cpu") for name, dtype in names.items()}
-    wp.launch(sample_many, shape, _cases(closures, points), list(outputs.values()), device="cpu")
+    outputs = {name: wp.zeros(shape, dtype=dtype, device=DEVICE) for name, dtype in names.items()}
+    wp.launch(sample_many, shape, _cases(closures, points), list(outputs.values()), device=DEVICE)
     return {name: array.numpy() for name, array in outputs.items()}
 
 
 def moments(closures: list[Closure], points: list[ShadingPoint], samples: int) -> np.ndarray:
     """Return the integrals of each lobe times 1, (1 + wi) / 2 and wi^2, float[case, 3, rgb]."""
-    out = wp.zeros((len(closures), 3), dtype=wp.vec3, device="cpu")
-    wp.launch(integrate_moments, len(closures), [*_cases(closures, points), samples], [out], device="cpu")
+    out = wp.zeros((len(closures), 3), dtype=wp.vec3, device=DEVICE)
+    wp.launch(integrate_moments, len(closures), [*_cases(closures, points), samples], [out], device=DEVICE)
     return out.numpy()
 
 
@@ -158,8 +160,8 @@ def albedo(closures: list[Closure], points: list[ShadingPoint], samples: int = 4
 
 def emission(closures: list[Closure], points: list[ShadingPoint]) -> np.ndarray:
     """Return the radiance that each case emits, float[case, rgb]."""
-    out = wp.zeros(len(closures), dtype=wp.vec3, device="cpu")
-    wp.launch(prepare_emission, len(closures), _cases(closures, points), [out], device="cpu")
+    out = wp.zeros(len(closures), dtype=wp.vec3, device=DEVICE)
+    wp.launch(prepare_emission, len(closures), _cases(closures, points), [out], device=DEVICE)
     return out.numpy()
 
 

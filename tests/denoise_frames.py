@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames of synthetic light for the tests of the denoisers."""
 
-import os
-
 import numpy as np
 import pytest
 import warp as wp
@@ -15,8 +13,9 @@ from burnish.kernels.gbuffer import GBuffer
 from burnish.kernels.reprojection import Reprojection
 from burnish.kernels.view import View
 
+from tests.device import DEVICE
+
 SIZE = 32
-DEVICE = os.environ.get("BURNISH_TEST_DEVICE", "cpu")
 UP, SIDE = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
 LONG_AGO = 5000
 

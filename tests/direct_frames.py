@@ -5,7 +5,6 @@ import dataclasses
 
 import numpy as np
 import warp as wp
-from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.environment_split import split_environment
 from burnish.engine.frame_data import frame_row
@@ -25,6 +24,7 @@ from burnish.kernels.gbuffer import GBuffer
 from burnish.kernels.packing import from_half, rgb, unpack_color
 
 from tests import scenes
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -55,7 +55,7 @@ class Frames:
     """Renders frames of direct light of a scene."""
 
     def __init__(self, delta, camera=None, size=8, exposure=1.0, reflections=None, **settings):
-        self.device = choose_device(scenes.SETTINGS.device)
+        self.device = DEVICE
         self.scene = DeviceScene(self.device)
         self.scene.apply(delta, scenes.SETTINGS.performance)
         self.size, self.exposure = size, exposure

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Frames of synthetic reflections for the tests of their denoiser: a plane that reflects a ceiling of given light."""
 
-import os
-
 import numpy as np
 import warp as wp
 from burnish.engine.frame_graph import FrameGraph
@@ -14,8 +12,8 @@ from burnish.kernels.reprojection import Reprojection
 from burnish.kernels.view import View
 
 from tests.denoise_frames import taps_inside
+from tests.device import DEVICE
 
-DEVICE = os.environ.get("BURNISH_TEST_DEVICE", "cpu")
 LONG_AGO = 5000
 ALPHA_MIN = 5e-4
 

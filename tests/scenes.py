@@ -2,7 +2,6 @@
 """Small scenes for tests, built from plain data without Blender: the stress test's parts in the tests' short forms."""
 
 import functools
-import os
 from dataclasses import replace
 
 from burnish.engine.program import ProgramBuilder
@@ -21,16 +20,15 @@ from burnish.engine.stress import scenes as made
 from burnish.engine.stress.scenes import emitter, lamp, place, sphere
 from burnish.engine.stress.scenes import make_mesh as mesh
 
-__all__ = ["DEVICE", "SETTINGS", "box", "camera_above", "delta", "emitter", "instances", "lamp", "material", "mesh",
+from tests.device import DEVICE
+
+__all__ = ["SETTINGS", "box", "camera_above", "delta", "emitter", "instances", "lamp", "material", "mesh",
            "place", "quad", "render", "sphere", "transparent", "world"]
 
 SETTINGS = RenderSettings(
-    device=Device(os.environ.get("BURNISH_TEST_DEVICE", "cpu")), film=FilmSettings(pixel_filter=PixelFilter.BOX),
+    device=Device(DEVICE.partition(":")[0]), film=FilmSettings(pixel_filter=PixelFilter.BOX),
     sampling=SamplingSettings(integrator=Integrator.REFERENCE))
 """The reference integrator on the device that `pytest --device` names"""
-
-DEVICE = "cuda:0" if SETTINGS.device is Device.CUDA else "cpu"
-"""That device, as Warp calls it"""
 
 world = functools.cache(made.world)
 

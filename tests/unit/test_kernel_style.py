@@ -191,6 +191,12 @@ def test_no_atomic_runs_in_bands() -> None:
     assert not wrong, f"kernels with atomics may be launched in bands: {', '.join(sorted(wrong))}"
 
 
+def test_tests_of_kernels_follow_the_device() -> None:
+    """Run what `pytest --device` is given: a compiler's fault on one device shows on that device alone."""
+    wrong = [path for path, source in read_all("tests/unit/kernels").items() if 'device="cpu"' in source]
+    assert not wrong, f"these launch kernels on the processor whatever --device says: {', '.join(wrong)}"
+
+
 GOOD = """
 import warp as wp
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

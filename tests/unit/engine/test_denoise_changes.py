@@ -8,7 +8,8 @@ from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.diffuse_denoise import DiffuseDenoisePass
 from burnish.engine.passes.direct_denoise import DirectDenoisePass
 
-from tests.denoise_frames import BOTH, DEVICE, LONG_AGO, SIZE, Frames, halves, noise
+from tests.denoise_frames import BOTH, LONG_AGO, SIZE, Frames, halves, noise
+from tests.device import DEVICE
 
 
 @BOTH

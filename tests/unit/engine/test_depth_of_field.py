@@ -20,6 +20,7 @@ from burnish.kernels.defocus import LENS_AREA, LENS_NEAR
 from burnish.kernels.view import SKY_DEPTH
 
 from tests import defocus_scenes, scenes
+from tests.device import DEVICE
 
 SIZE = (96, 64)
 SKY = float(SKY_DEPTH)
@@ -32,7 +33,7 @@ class Lens:
         """Make a camera that sees 0.8 m at 1 m with a lens of 0.1 m, 12 pixels, in focus at 1 m."""
         fields = {"focus": 1.0, "radius": 0.1, **fields}
         camera = defocus_scenes.camera((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), size=size, **fields)
-        self.size, device = size, scenes.DEVICE
+        self.size, device = size, DEVICE
         self.row = frame_row(camera, *size, (0, 0, *size), 0, np.zeros(3))
         self.views, self.blur = ViewTracker(device), DepthOfFieldPass(device)
         self.blur.resize(*size)

@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.environment_split import split_environment
 from burnish.engine.program import ProgramBuilder
@@ -12,6 +11,7 @@ from burnish.engine.scene import WorldData
 from burnish.kernels.environment_split import NO_THRESHOLD, excess_radiance, soft_radiance
 
 from tests import scenes
+from tests.device import DEVICE
 from tests.direct_frames import sunny_world
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -35,10 +35,9 @@ def cut(
 
 def split_of(world):
     """Return a world's split and the scene's luminance weights."""
-    device = choose_device(scenes.SETTINGS.device)
-    scene = DeviceScene(device)
+    scene = DeviceScene(DEVICE)
     scene.apply(scenes.delta({}, [], {}, background=world), scenes.SETTINGS.performance)
-    return split_environment(scene.scene, device), np.array(scene.luminance)
+    return split_environment(scene.scene, DEVICE), np.array(scene.luminance)
 
 
 def gradient():

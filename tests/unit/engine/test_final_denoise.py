@@ -17,6 +17,7 @@ from burnish.engine.settings import DenoiserSettings, Integrator
 
 from tests import scenes
 from tests.denoised_room import BOTH, SIZE, open_session, room, settings_of
+from tests.device import DEVICE
 
 NAMES = ("libOpenImageDenoise.so.2", "libOpenImageDenoise.dylib", "OpenImageDenoise.dll")
 
@@ -103,7 +104,7 @@ def test_guides_of_few_samples_are_denoised_once(monkeypatch):
 
 def test_few_samples_are_denoised_in_haste(monkeypatch):
     """Leave the guides of one or two samples as they are on the processor, and say that they are noisy."""
-    if scenes.DEVICE != "cpu":
+    if DEVICE != "cpu":
         pytest.skip("a GPU has the time to clean them")
     asked = []
 
@@ -253,7 +254,7 @@ def test_file_that_is_no_library(tmp_path):
 @pytest.mark.parametrize("polls", [0, 1, 40])
 def test_denoising_stops(library, polls):
     """Give no picture when told to stop, in the guides or in the library, and the right one the next time."""
-    if scenes.DEVICE != "cpu":
+    if DEVICE != "cpu":
         pytest.skip("a GPU is done before it would be asked")
     made = open_session(Integrator.REFERENCE)
     made.step(8)

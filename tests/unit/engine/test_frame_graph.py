@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.motion import MotionTracker
@@ -24,8 +23,7 @@ from burnish.kernels.hash_grid import HashGrid
 from burnish.kernels.paths import ENDED, Paths
 
 from tests import scenes
-
-DEVICE = choose_device(scenes.SETTINGS.device)
+from tests.device import DEVICE
 
 
 def room():

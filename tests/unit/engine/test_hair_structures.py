@@ -11,7 +11,7 @@ from burnish.engine.scene import MeshData, SceneDelta
 from burnish.engine.settings import PerformanceSettings
 
 from tests import scenes
-from tests.scenes import DEVICE
+from tests.device import DEVICE
 from tests.unit.engine.test_structures import MATERIALS, check
 
 

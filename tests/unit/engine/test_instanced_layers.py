@@ -19,7 +19,7 @@ from burnish.kernels.types import Scene
 from burnish.kernels.wide_instances import chance_layer_in_instances
 
 from tests import scenes
-from tests.scenes import DEVICE
+from tests.device import DEVICE
 from tests.unit.engine.test_opacity_maps import blobs, follow, leaves, masked
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

@@ -7,6 +7,8 @@ import warp as wp
 from burnish.engine.light_tree import build_light_tree
 from burnish.kernels import light_tree, types
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -38,10 +40,10 @@ def make(count, seed=0, equal=False):
     power = np.ones(count) if equal else generator.exponential(size=count) ** 3
     tree = build_light_tree(center - half, center + half, power)
     struct = types.LightTree()
-    struct.low = wp.array(tree.low, dtype=wp.vec4, device="cpu")
-    struct.high = wp.array(tree.high, dtype=wp.vec4, device="cpu")
-    struct.entries = wp.array(tree.entries, dtype=int, device="cpu")
-    struct.places = wp.array(tree.places, dtype=int, device="cpu")
+    struct.low = wp.array(tree.low, dtype=wp.vec4, device=DEVICE)
+    struct.high = wp.array(tree.high, dtype=wp.vec4, device=DEVICE)
+    struct.entries = wp.array(tree.entries, dtype=int, device=DEVICE)
+    struct.places = wp.array(tree.places, dtype=int, device=DEVICE)
     struct.levels = tree.levels
     return struct, center, power
 
@@ -52,8 +54,8 @@ def test_chances_sum_to_one(count, normal):
     """Distribute a chance of exactly one over the lights, seen from anywhere."""
     tree, _, _ = make(count)
     for position in ((0, 0, -6), (4, -3, -2), (100, 0, -30)):
-        out = wp.zeros(count, dtype=float, device="cpu")
-        wp.launch(chances, count, [tree, wp.vec3(*map(float, position)), normal, out], device="cpu")
+        out = wp.zeros(count, dtype=float, device=DEVICE)
+        wp.launch(chances, count, [tree, wp.vec3(*map(float, position)), normal, out], device=DEVICE)
         np.testing.assert_allclose(out.numpy().sum(dtype=np.float64), 1.0, rtol=1e-5)
 
 
@@ -64,14 +66,14 @@ def test_choices_follow_the_chances(count, normal):
     tree, _, _ = make(count, 1)
     draws = 1 << 18
     u = np.random.default_rng(2).random((draws, 2), np.float32)
-    entry = wp.zeros(draws, dtype=int, device="cpu")
-    chance = wp.zeros(draws, dtype=float, device="cpu")
-    out = wp.zeros(count, dtype=float, device="cpu")
-    left = wp.zeros(draws, dtype=float, device="cpu")
+    entry = wp.zeros(draws, dtype=int, device=DEVICE)
+    chance = wp.zeros(draws, dtype=float, device=DEVICE)
+    out = wp.zeros(count, dtype=float, device=DEVICE)
+    left = wp.zeros(draws, dtype=float, device=DEVICE)
     position = wp.vec3(1.0, 2.0, -1.0)
-    wp.launch(choices, draws, [tree, position, normal, wp.array(u, dtype=wp.vec2, device="cpu"), entry, chance, left],
-              device="cpu")
-    wp.launch(chances, count, [tree, position, normal, out], device="cpu")
+    wp.launch(choices, draws, [tree, position, normal, wp.array(u, dtype=wp.vec2, device=DEVICE), entry, chance, left],
+              device=DEVICE)
+    wp.launch(chances, count, [tree, position, normal, out], device=DEVICE)
     assert np.abs(np.histogram(left.numpy(), 16, (0.0, 1.0))[0] / (draws / 16) - 1.0).max() < 0.05
     assert entry.numpy().min() >= 0
     np.testing.assert_allclose(chance.numpy(), out.numpy()[entry.numpy()], rtol=1e-4)
@@ -85,10 +87,10 @@ def test_choices_follow_the_chances(count, normal):
 def test_near_lights_win():
     """Give a light next to the receiver several times the chance of an average one among a thousand."""
     tree, center, _ = make(1000, equal=True)
-    out = wp.zeros(1000, dtype=float, device="cpu")
+    out = wp.zeros(1000, dtype=float, device=DEVICE)
     ratios = []
     for near in range(0, 1000, 20):
-        wp.launch(chances, 1000, [tree, wp.vec3(*map(float, center[near] + 0.01)), ANYWHERE, out], device="cpu")
+        wp.launch(chances, 1000, [tree, wp.vec3(*map(float, center[near] + 0.01)), ANYWHERE, out], device=DEVICE)
         ratios.append(out.numpy()[near] * 1000)
     assert np.median(ratios) > 8 and np.mean(np.array(ratios) > 1) > 0.9
 
@@ -98,14 +100,14 @@ def test_lights_behind_a_surface_are_not_chosen():
     center = np.array([(0.0, 0.0, 5.0), (5.0, 0.0, 0.5), (0.0, 0.0, -5.0), (1.0, 1.0, -0.5)])
     tree = build_light_tree(center - 0.1, center + 0.1, np.ones(4))
     struct = types.LightTree()
-    struct.low, struct.high = (wp.array(x, dtype=wp.vec4, device="cpu") for x in (tree.low, tree.high))
-    struct.entries, struct.places = (wp.array(x, dtype=int, device="cpu") for x in (tree.entries, tree.places))
+    struct.low, struct.high = (wp.array(x, dtype=wp.vec4, device=DEVICE) for x in (tree.low, tree.high))
+    struct.entries, struct.places = (wp.array(x, dtype=int, device=DEVICE) for x in (tree.entries, tree.places))
     struct.levels = tree.levels
-    out = wp.zeros(4, dtype=float, device="cpu")
-    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), UP, out], device="cpu")
+    out = wp.zeros(4, dtype=float, device=DEVICE)
+    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), UP, out], device=DEVICE)
     overhead, grazing, *behind = out.numpy()
     assert behind == [0.0, 0.0] and overhead > 3.0 * grazing > 0.0
-    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), ANYWHERE, out], device="cpu")
+    wp.launch(chances, 4, [struct, wp.vec3(0.0, 0.0, 0.0), ANYWHERE, out], device=DEVICE)
     assert out.numpy().min() > 0.0
 
 

@@ -19,6 +19,7 @@ from burnish.kernels.types import Scene
 from burnish.kernels.wide_layers import chance_layer_wide
 
 from tests import scenes
+from tests.device import DEVICE
 from tests.unit.engine.test_opacity_maps import ask_materials, blobs, crossed, leaves, masked, opened
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -60,10 +61,10 @@ def stop_by_chance(
 
 def programs_say(made: DeviceScene, faces: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return what share the materials' programs let pass at points: instance and triangle, weights of all vertices."""
-    answer = wp.zeros(len(faces), dtype=wp.vec3, device="cpu")
-    points = wp.array(np.ascontiguousarray(weights[:, 1:], np.float32), dtype=wp.vec2, device="cpu")
+    answer = wp.zeros(len(faces), dtype=wp.vec3, device=DEVICE)
+    points = wp.array(np.ascontiguousarray(weights[:, 1:], np.float32), dtype=wp.vec2, device=DEVICE)
     wp.launch(ask_materials, len(faces), [
-        made.scene, wp.array(faces.astype(np.int32), dtype=wp.vec2i, device="cpu"), points], [answer], device="cpu")
+        made.scene, wp.array(faces.astype(np.int32), dtype=wp.vec2i, device=DEVICE), points], [answer], device=DEVICE)
     return answer.numpy()[:, 0]
 
 
@@ -76,10 +77,10 @@ def rays(count: int) -> tuple[np.ndarray, np.ndarray]:
 def check_shares(made: DeviceScene, mesh, count: int = 1500) -> np.ndarray:
     """Compare the light that rays let through with the product of what programs let; return the shares."""
     origin, direction = rays(count)
-    shares = wp.zeros(count, dtype=float, device="cpu")
+    shares = wp.zeros(count, dtype=float, device=DEVICE)
     wp.launch(look_through, count, [
-        made.scene, *(wp.array(x, dtype=wp.vec3, device="cpu") for x in (origin, direction)), 1e30], [shares],
-        device="cpu")
+        made.scene, *(wp.array(x, dtype=wp.vec3, device=DEVICE) for x in (origin, direction)), 1e30], [shares],
+        device=DEVICE)
     t, weights = crossed(mesh, origin.astype(float), direction.astype(float))
     met = np.argwhere(np.isfinite(t))
     expected = np.ones(count)
@@ -142,11 +143,11 @@ def test_edges_count_once() -> None:
     places = np.linspace(0.5, cells - 0.5, 4 * (cells - 1) + 1)
     origin = np.array([(a, b, 3.0) for a in places for b in places], np.float32)
     for direction in ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)):
-        shares = wp.zeros(len(origin), dtype=float, device="cpu")
+        shares = wp.zeros(len(origin), dtype=float, device=DEVICE)
         start = origin * (1, 1, -direction[2])
         wp.launch(look_through, len(origin), [
-            made.scene, *(wp.array(np.broadcast_to(rows, origin.shape).astype(np.float32), dtype=wp.vec3, device="cpu")
-                          for rows in (start, direction)), 1e30], [shares], device="cpu")
+            made.scene, *(wp.array(np.broadcast_to(rows, origin.shape).astype(np.float32), dtype=wp.vec3, device=DEVICE)
+                          for rows in (start, direction)), 1e30], [shares], device=DEVICE)
         np.testing.assert_allclose(shares.numpy(), 0.4, rtol=1e-6)
 
 
@@ -204,10 +205,10 @@ def test_chance_is_the_share() -> None:
     passing = programs_say(made, np.stack([np.zeros(len(order), int), order], 1), weights[ray, order])
     assert len(order) >= 4 and ((passing > 0.05) & (passing < 0.95)).sum() >= 2
     count = 20000
-    found, share = (wp.zeros(count, dtype=float, device="cpu") for _ in range(2))
+    found, share = (wp.zeros(count, dtype=float, device=DEVICE) for _ in range(2))
     wp.launch(stop_by_chance, count, [
         made.scene, wp.vec3(*origin[ray].tolist()), wp.vec3(*direction[ray].tolist()), 1e30], [found, share],
-        device="cpu")
+        device=DEVICE)
     left = 1.0
     for k, passes in zip(order, passing, strict=True):
         here = np.abs(found.numpy() - t[ray, k]) < 1e-4

@@ -19,6 +19,7 @@ from burnish.kernels.intersect import Hit, closest_layer, shadow_layer, surface_
 from burnish.kernels.types import VISIBLE_SHADOW, Scene
 
 from tests import scenes
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -115,7 +116,7 @@ def opened(material: MaterialData, pixels: np.ndarray | None = None, mesh=None, 
     """Put leaves of a material on the device."""
     delta = scenes.delta({"leaves": mesh or leaves()}, objects or [("leaves", np.eye(4), "leaf")], {"leaf": material})
     delta.images["leaf"] = ImageData(name="leaf", pixels=blobs() if pixels is None else pixels, **image)
-    made = DeviceScene("cpu")
+    made = DeviceScene(DEVICE)
     made.apply(delta, settings or PerformanceSettings())
     return made
 
@@ -151,11 +152,10 @@ def check_claims(made: DeviceScene, points: int = 400) -> np.ndarray:
     weights = np.random.default_rng(1).dirichlet((1, 1, 1), (len(faces), points)).astype(np.float32)
     said = np.array([[state_at(triangle, words, w) for w in rows]
                      for triangle, rows in zip(triangles, weights, strict=True)]).ravel()
-    answer = wp.zeros(len(said), dtype=wp.vec3, device="cpu")
-    wp.launch(ask_materials, len(said), [
-        made.scene, wp.array(np.repeat(faces, points, 0), dtype=wp.vec2i, device="cpu"),
-        wp.array(np.ascontiguousarray(weights[..., 1:]).reshape(-1, 2), dtype=wp.vec2, device="cpu")], [answer],
-        device="cpu")
+    answer = wp.zeros(len(said), dtype=wp.vec3, device=DEVICE)
+    wp.launch(ask_materials, len(said), [made.scene, *(wp.array(rows.reshape(-1, 2), dtype=kind, device=DEVICE)
+              for rows, kind in ((np.repeat(faces, points, 0), wp.vec2i), (weights[..., 1:], wp.vec2)))], [answer],
+              device=DEVICE)
     passes = answer.numpy()[:, 0]
     np.testing.assert_allclose(passes[said == CLEAR], 1.0, atol=1e-5)
     np.testing.assert_allclose(passes[said == SOLID], 0.0, atol=2e-3)
@@ -204,7 +204,7 @@ def test_each_mesh_has_its_own_maps() -> None:
     materials = {"leaf": masked(0.3), "coarse": masked(0.6, channel=1), "clear": scenes.transparent(1.0)}
     delta = scenes.delta(meshes, placed, materials)
     delta.images["leaf"] = ImageData(name="leaf", pixels=np.repeat(blobs()[..., 3:], 4, 2))
-    made = DeviceScene("cpu")
+    made = DeviceScene(DEVICE)
     made.apply(delta, PerformanceSettings())
     assert check_claims(made, 100)[UNKNOWN] < 0.5
 
@@ -263,9 +263,9 @@ def test_rays_meet_what_the_maps_leave() -> None:
     made = opened(masked(0.3), (blobs() / 255).astype(np.float32), mesh)
     rng = np.random.default_rng(7)
     origin, direction = rng.uniform(-2, 2, (1500, 3)).astype(np.float32), rng.normal(size=(1500, 3)).astype(np.float32)
-    outputs = [wp.zeros((2, 1500), dtype=kind, device="cpu") for kind in (float, wp.vec2i, int)]
-    rays = [wp.array(x, dtype=wp.vec3, device="cpu") for x in (origin, direction)]
-    wp.launch(follow, 1500, [made.scene, *rays, 1e30], outputs, device="cpu")
+    outputs = [wp.zeros((2, 1500), dtype=kind, device=DEVICE) for kind in (float, wp.vec2i, int)]
+    rays = [wp.array(x, dtype=wp.vec3, device=DEVICE) for x in (origin, direction)]
+    wp.launch(follow, 1500, [made.scene, *rays, 1e30], outputs, device=DEVICE)
     t, face, solid = (output.numpy() for output in outputs)
     distances, states = crossings(made, mesh, origin.astype(float), direction.astype(float))
     seen = np.where(states == CLEAR, np.inf, distances)
@@ -345,7 +345,7 @@ def test_large_triangles_go_without_where_texels_are_too_many(monkeypatch: pytes
     mesh = leaves(8)
     size = np.repeat([0.1, 1.0], 4)
     mesh.uv_maps["UVMap"][:].flat = (np.array([(0, 0), (1, 0), (0, 1)]) * size[:, None, None]).ravel()
-    monkeypatch.setitem(opacity_maps.TEXELS_MAX, "cpu", 1000.0)
+    monkeypatch.setattr(opacity_maps, "TEXELS_MAX", dict.fromkeys(opacity_maps.TEXELS_MAX, 1000.0))
     pixels = blobs()
     pixels[..., 3] = 255
     triangles, _ = words_of(opened(masked(0.3), pixels, mesh))

@@ -23,6 +23,7 @@ from burnish.engine.settings import (
 from burnish.kernels.known_light import KnownLight, is_ending
 
 from tests import denoised_room, scenes
+from tests.device import DEVICE
 from tests.scenes import camera_above
 
 wp.set_module_options({"enable_backward": False})
@@ -54,9 +55,9 @@ def tell_endings(known: KnownLight, endings_out: wp.array[int]):
 
 def endings(samples, count):
     """Return whether each of `count` samples ends in the cache."""
-    known, found = KnownLight(), wp.zeros(count, dtype=int, device="cpu")
+    known, found = KnownLight(), wp.zeros(count, dtype=int, device=DEVICE)
     known.samples = samples
-    wp.launch(tell_endings, count, [known], [found], device="cpu")
+    wp.launch(tell_endings, count, [known], [found], device=DEVICE)
     return found.numpy()
 
 

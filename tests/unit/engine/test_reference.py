@@ -13,6 +13,7 @@ from burnish.engine.session import Session
 from burnish.engine.settings import DenoiserSettings, FilmSettings, Integrator, SamplingSettings
 
 from tests import scenes
+from tests.device import DEVICE
 
 
 def room(albedo):
@@ -380,10 +381,10 @@ def test_running_sums_are_the_probabilities():
     weights = np.random.default_rng(3).exponential(size=(16, 32)) ** 4
     rows, columns = running_sums(weights)
     assert rows[-1] == 1.0 and (columns[:, -1] == 1.0).all()
-    environment = no_environment("cpu")
+    environment = no_environment(DEVICE)
     environment.width, environment.height = 32, 16
-    environment.rows = wp.array(rows, dtype=float, device="cpu")
-    environment.columns = wp.array(columns.ravel(), dtype=float, device="cpu")
+    environment.rows = wp.array(rows, dtype=float, device=DEVICE)
+    environment.columns = wp.array(columns.ravel(), dtype=float, device=DEVICE)
     chance = texel_chances(environment)
     np.testing.assert_allclose(chance.sum(), 1.0, rtol=1e-12)
     np.testing.assert_allclose(chance, weights / weights.sum(), atol=2e-7)

@@ -11,7 +11,8 @@ from burnish.engine.passes.reflection_denoise import ReflectionDenoisePass, filt
 from burnish.engine.settings import DenoiserSettings
 from burnish.kernels.reflection_types import LOBE_TRANSMISSION
 
-from tests.reflection_frames import DEVICE, ReflectionFrames
+from tests.device import DEVICE
+from tests.reflection_frames import ReflectionFrames
 
 
 def even(x, y):

@@ -19,7 +19,7 @@ from burnish.kernels.types import Scene
 from burnish.kernels.wide_instances_edit import write_boxes, write_records
 
 from tests import scenes
-from tests.scenes import DEVICE
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.engine import session as burnish_session
-from burnish.engine.device import choose_device, launch, record
+from burnish.engine.device import launch, record
 from burnish.engine.passes import reference, wavefront
 from burnish.engine.passes.wavefront import Step, Wavefront
 from burnish.engine.path_options import path_options
@@ -18,6 +18,7 @@ from burnish.kernels import path_lists
 from burnish.kernels.paths import ENDED, HARD_SURVIVAL, HEAVY_PATH, Options, Paths, survival_chance
 
 from tests import light_scenes, scenes
+from tests.device import DEVICE
 from tests.unit.engine.test_lean import coated, lean_materials, row_of_balls, use_full_machine
 from tests.unit.engine.test_media import absorber, boxes
 
@@ -39,7 +40,7 @@ def test_both_machines_shade_alike():
     (lean, rays), (full, full_rays) = rendered(), rendered(use_full_machine)
     assert lean.mean() > 0.1 and rays > SIZE[0] * SIZE[1] * 3
     # But for roundings, which compilers do where they like; on CUDA they are more.
-    few = choose_device(scenes.SETTINGS.device) == "cpu"
+    few = DEVICE == "cpu"
     assert np.isclose(rays, full_rays, rtol=0 if few else 1e-3)
     assert np.allclose(lean, full, rtol=1e-5 if few else 1e-2, atol=1e-6 if few else 1e-3)
 
@@ -47,7 +48,7 @@ def test_both_machines_shade_alike():
 def test_threads_share_a_list(monkeypatch):
     """Trace the same paths whether one thread of a launch works a list off or five take turns, as many do on CUDA."""
     expected, rays = rendered()
-    if choose_device(scenes.SETTINGS.device) != "cpu":
+    if DEVICE != "cpu":
         pytest.skip("there many share all lists")
     monkeypatch.setattr(wavefront, "PROCESSOR_THREADS", 5)
     found, found_rays = rendered()
@@ -56,7 +57,7 @@ def test_threads_share_a_list(monkeypatch):
 
 def test_empty_lists_have_no_launch(monkeypatch):
     """Launch nothing over lists that no path is in."""
-    if choose_device(scenes.SETTINGS.device) != "cpu":
+    if DEVICE != "cpu":
         pytest.skip("there only the device knows")
     launched = []
 
@@ -76,7 +77,7 @@ def test_empty_lists_have_no_launch(monkeypatch):
 @pytest.mark.parametrize(("width", "height", "samples"), [(24, 16, 1), (13, 9, 2), (7, 3, 1), (8, 20, 3), (1, 5, 1)])
 def test_every_path_is_listed_once(width, height, samples):
     """List all paths, the first 64 of a wide picture in a square of 8 x 8."""
-    device, pixels = choose_device(scenes.SETTINGS.device), width * height
+    device, pixels = DEVICE, width * height
     queue = wp.zeros(pixels * samples, dtype=int, device=device)
     launch(path_lists.list_all, len(queue), [width, pixels], [queue], device)
     listed = queue.numpy()
@@ -108,7 +109,7 @@ def live_on(
 @pytest.mark.parametrize("limit", [4, 100])
 def test_loops_end(limit):
     """Run rounds until no path lives, or as many as are allowed, with the same launches again and again."""
-    device, count = choose_device(scenes.SETTINGS.device), 50
+    device, count = DEVICE, 50
     front = Wavefront(64, False, device)
     limits = wp.array(np.arange(64, dtype=np.int32) % 8, dtype=int, device=device)
 
@@ -147,7 +148,7 @@ def note_round(
 @pytest.mark.parametrize("limit", [3, 4, 100])
 def test_late_steps_come_once_a_round(limit):
     """Run late steps over the paths of each round with its number, the last one's too, whichever half it is."""
-    device, count = choose_device(scenes.SETTINGS.device), 50
+    device, count = DEVICE, 50
     front = Wavefront(64, False, device)
     for longest in (7, 8):
         limits = wp.array(np.arange(64, dtype=np.int32) % longest, dtype=int, device=device)
@@ -249,5 +250,5 @@ def test_processors_do_not_end_paths_harder():
         session = Session(scenes.SETTINGS)
         session.update(boxes(absorber(0.1, 0.5, 0.5)) if media else row_of_balls(lean_materials()))
         session.configure(scenes.SETTINGS, scenes.camera_above(half=3.5), *SIZE)
-        waits = choose_device(scenes.SETTINGS.device) != "cpu" and not media
+        waits = DEVICE != "cpu" and not media
         assert session._options(False).ended_harder == (8 if waits else 0)

@@ -8,7 +8,6 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import choose_device
 from burnish.engine.device_scene import DeviceScene
 from burnish.engine.frame_graph import FrameGraph
 from burnish.engine.passes.cache_buffers import LAYER_ARRAYS, RAY_ARRAYS, UNUSED_ARRAYS
@@ -31,6 +30,7 @@ from burnish.kernels.paths import Paths
 from burnish.kernels.types import VISIBLE_DIFFUSE
 
 from tests import scenes
+from tests.device import DEVICE
 from tests.unit.engine.test_lean import row_of_balls, textured
 
 COUNT = 3000
@@ -85,7 +85,7 @@ def values(paths, names):
 
 def assert_same(a, b):
     """Compare arrays exactly; on a processor but for roundings, which kernels of their own may do elsewhere there."""
-    rounded = choose_device(scenes.SETTINGS.device) == "cpu"
+    rounded = DEVICE == "cpu"
     for name in a:
         if rounded and np.issubdtype(a[name].dtype, np.floating):
             np.testing.assert_allclose(a[name], b[name], rtol=5e-5, atol=1e-7, err_msg=name)
@@ -96,8 +96,7 @@ def assert_same(a, b):
 @pytest.fixture(scope="module")
 def scene():
     """Make a scene of layers."""
-    device = choose_device(scenes.SETTINGS.device)
-    made = DeviceScene(device)
+    made = DeviceScene(DEVICE)
     made.apply(veils(), scenes.SETTINGS.performance)
     assert made.structures.has_filtered and made.material_table.lean.transparency and is_flat(made.scene)
     return made

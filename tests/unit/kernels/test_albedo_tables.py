@@ -12,6 +12,8 @@ from burnish.engine import tables as engine_tables
 from burnish.kernels import albedo_tables
 from burnish.kernels.types import Tables
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 NODES = 16
@@ -43,15 +45,15 @@ def struct(arrays: dict[str, np.ndarray]) -> Tables:
     """Return the tables as kernels see them."""
     tables = Tables()
     for name, array in arrays.items():
-        setattr(tables, name, wp.array(array, dtype=float, device="cpu"))
+        setattr(tables, name, wp.array(array, dtype=float, device=DEVICE))
     return tables
 
 
 def looked_up(tables: Tables, cosines: list[float], roughness: float, eta: float = 1.5) -> tuple[np.ndarray, ...]:
     """Return (mirror albedo and mean, glass albedo and mean, weights of dielectric and metal) at the cosines."""
-    outputs = [wp.zeros(len(cosines), dtype=wp.vec2, device="cpu") for _ in range(3)]
-    inputs = [tables, wp.array(np.float32(cosines), device="cpu"), roughness, eta]
-    wp.launch(look_up, len(cosines), inputs, outputs, device="cpu")
+    outputs = [wp.zeros(len(cosines), dtype=wp.vec2, device=DEVICE) for _ in range(3)]
+    inputs = [tables, wp.array(np.float32(cosines), device=DEVICE), roughness, eta]
+    wp.launch(look_up, len(cosines), inputs, outputs, device=DEVICE)
     return tuple(output.numpy() for output in outputs)
 
 
@@ -199,8 +201,8 @@ def test_damaged_file_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     path.write_bytes(b"broken")
     calls = []
     monkeypatch.setattr(engine_tables, "compute_tables", lambda: calls.append(1) or arrays)
-    first = engine_tables.albedo_tables("cpu", path)
-    second = engine_tables.albedo_tables("cpu", path)
+    first = engine_tables.albedo_tables(DEVICE, path)
+    second = engine_tables.albedo_tables(DEVICE, path)
     assert len(calls) == 1
     np.testing.assert_array_equal(first.glass_e.numpy(), second.glass_e.numpy())
 

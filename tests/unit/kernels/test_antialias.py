@@ -14,6 +14,8 @@ from burnish.kernels import antialias
 from burnish.kernels.antialias import Accumulation
 from burnish.kernels.view import View
 
+from tests.device import DEVICE
+
 W, H = 48, 32
 TABLE = filter_table(PixelFilter.BLACKMAN_HARRIS, 1.5)
 SHARPNESS = sharpness_of(TABLE)
@@ -379,8 +381,8 @@ def resampling_weights(places: wp.array[float], weights_out: wp.array2d[float]):
 def test_weights_of_the_resampling_kernel():
     """0.8 Lanczos-3 + 0.2 Catmull-Rom, to the rounding of a few operations; at the taps' own places too."""
     places = np.concatenate([np.linspace(0.0, 1.0, 1001), [1e-6, 0.029, 0.031, 1.0 - 1e-6]]).astype(np.float32)
-    found = wp.zeros((len(places), 6), dtype=float, device="cpu")
-    wp.launch(resampling_weights, len(places), [wp.array(places, dtype=float, device="cpu")], [found], device="cpu")
+    found = wp.zeros((len(places), 6), dtype=float, device=DEVICE)
+    wp.launch(resampling_weights, len(places), [wp.array(places, dtype=float, device=DEVICE)], [found], device=DEVICE)
     d = np.abs(np.arange(-2, 4)[None] - places[:, None].astype(float))
     cubic = np.where(d < 1.0, (1.5 * d - 2.5) * d * d + 1.0, ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0) * (d < 2.0)
     expected = 0.2 * cubic + 0.8 * np.sinc(d) * np.sinc(d / 3.0) * (d < 3.0)

@@ -10,6 +10,8 @@ from burnish.kernels.packed_halves import pack_halves, unpack_first, unpack_halv
 from burnish.kernels.packing import pack_normal, rgb, unpack_normal
 from burnish.kernels.view import View, pixel_footprint
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 WIDTH, HEIGHT = 16, 12
@@ -110,13 +112,13 @@ def cap_lengths(rest: wp.array[int], light_age: int, cap: float, out: wp.array[f
 
 
 def run(kernel, inputs, dtype, count):
-    out = wp.zeros(count, dtype=dtype, device="cpu")
-    wp.launch(kernel, count, [*inputs, out], device="cpu")
+    out = wp.zeros(count, dtype=dtype, device=DEVICE)
+    wp.launch(kernel, count, [*inputs, out], device=DEVICE)
     return out.numpy()
 
 
 def vectors(values, dtype=wp.vec3):
-    return wp.array(np.asarray(values, np.float32), dtype=dtype, device="cpu")
+    return wp.array(np.asarray(values, np.float32), dtype=dtype, device=DEVICE)
 
 
 def test_packed_means_are_precise():
@@ -141,13 +143,13 @@ def test_cubic_gather_is_sharp_and_bounded():
     rng = np.random.default_rng(2)
     places = rng.uniform((2.0, 2.0), (WIDTH - 2.0, HEIGHT - 2.0), (500, 2)).astype(np.float32)
     ramp = np.stack([x, y, 2 * x + y], -1).reshape(-1, 3)
-    image = wp.array(run(pack_all, [vectors(ramp)], wp.uint64, COUNT), dtype=wp.uint64, device="cpu")
+    image = wp.array(run(pack_all, [vectors(ramp)], wp.uint64, COUNT), dtype=wp.uint64, device=DEVICE)
     found = run(gather_all, [image, vectors(places, wp.vec2), WIDTH, HEIGHT, False], wp.vec3, 500)
     expected = places - 0.5
     assert found[:, :2] == pytest.approx(expected, abs=1e-4)
     assert found[:, 2] == pytest.approx(expected @ [2.0, 1.0], abs=1e-3)
     step = np.where(x >= 8, 1.0, 0.25)[..., None].repeat(3, -1).reshape(-1, 3)
-    image = wp.array(run(pack_all, [vectors(step)], wp.uint64, COUNT), dtype=wp.uint64, device="cpu")
+    image = wp.array(run(pack_all, [vectors(step)], wp.uint64, COUNT), dtype=wp.uint64, device=DEVICE)
     found = run(gather_all, [image, vectors(places, wp.vec2), WIDTH, HEIGHT, False], wp.vec3, 500)[:, 0]
     assert found.min() >= 0.25 and found.max() <= 1.0
     apart = (places[:, 0] <= 7.5) | (places[:, 0] >= 8.5)
@@ -171,10 +173,10 @@ def test_plane_offset_needs_no_positions(orthographic):
     normals = rng.normal(size=(COUNT, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     gbuffer = GBuffer()
-    gbuffer.depth = wp.array(rng.uniform(1.0, 9.0, COUNT), dtype=float, device="cpu")
+    gbuffer.depth = wp.array(rng.uniform(1.0, 9.0, COUNT), dtype=float, device=DEVICE)
     packed = run(pack_normals, [vectors(normals)], wp.uint32, COUNT)
-    gbuffer.normal = gbuffer.geometric_normal = wp.array(packed, dtype=wp.uint32, device="cpu")
-    views = wp.array(row, dtype=View, device="cpu")
+    gbuffer.normal = gbuffer.geometric_normal = wp.array(packed, dtype=wp.uint32, device=DEVICE)
+    views = wp.array(row, dtype=View, device=DEVICE)
     for centre in (0, 37, COUNT - 1):
         found = run(compare_offsets, [views, gbuffer, WIDTH, centre], wp.vec2, COUNT)
         assert found[:, 0] == pytest.approx(found[:, 1], rel=1e-3, abs=1e-2)
@@ -198,7 +200,7 @@ def test_noise_weight_is_mutual():
 def test_normals_apart_have_no_weight():
     """Give the same normal weight 1, and one 60 degrees off exactly none in smooth light, 1e-9 in direct light."""
     normals = [[0.0, 0.0, 1.0], [0.0, 0.75**0.5, 0.5], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
-    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 4), dtype=wp.uint32, device="cpu")
+    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 4), dtype=wp.uint32, device=DEVICE)
     found = run(weigh_normals, [packed], wp.vec2, 4)
     assert found[0].tolist() == [1.0, 1.0]
     assert found[1:].max() < 1e-9 and (found[2:, 0] == 0.0).all()
@@ -208,7 +210,7 @@ def test_mirrors_take_no_highlights_from_their_frames():
     """Weigh roughness the same from either side: 1 for the same, whatever flags say; none for a mirror in wood."""
     rough = np.array([0.0, 0.387, 0.387, 0.3])
     other = np.array([0.387, 0.387, 0.45, 0.9])
-    words = [wp.array((np.round(r * 65535).astype(np.uint32) | flags), dtype=wp.uint32, device="cpu")
+    words = [wp.array((np.round(r * 65535).astype(np.uint32) | flags), dtype=wp.uint32, device=DEVICE)
              for r, flags in ((rough, np.uint32(1 << 20)), (other, np.uint32(0)))]
     found = run(weigh_roughness, words, wp.vec2, 4)
     assert (found[:, 0] == found[:, 1]).all()
@@ -220,7 +222,7 @@ def test_normals_are_decoded_the_short_way():
     rng = np.random.default_rng(5)
     normals = rng.normal(size=(2000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 2000), dtype=wp.uint32, device="cpu")
+    packed = wp.array(run(pack_normals, [vectors(normals)], wp.uint32, 2000), dtype=wp.uint32, device=DEVICE)
     assert run(decode_normals, [packed, wp.vec3(0.48, -0.6, 0.64)], wp.vec2, 2000).max() < 1e-6
 
 
@@ -232,13 +234,13 @@ def test_words_hold_half_floats():
     words = run(pack_four, [vectors(values, wp.vec4)], wp.uint64, 500)
     expected = np.clip(values, -65000.0, 65000.0).astype(np.float16)
     assert (words.view(np.uint16).reshape(-1, 4) == expected.view(np.uint16)).all()
-    found = run(unpack_four, [wp.array(words, dtype=wp.uint64, device="cpu")], wp.vec4, 500)
+    found = run(unpack_four, [wp.array(words, dtype=wp.uint64, device=DEVICE)], wp.vec4, 500)
     assert (found == expected.astype(np.float32)).all()
 
 
 def test_history_grows_at_rest_only():
     """Hold the cap in motion, let it grow by one a frame at rest up to 1024, and cut it after an edit of the light."""
-    rest = wp.array([0, 1, 100, 5000], dtype=int, device="cpu")
+    rest = wp.array([0, 1, 100, 5000], dtype=int, device=DEVICE)
     assert run(cap_lengths, [rest, 1000, 32.0], float, 4).tolist() == [32.0, 33.0, 132.0, 1024.0]
     assert run(cap_lengths, [rest, 11, 32.0], float, 4).tolist() == [2.0] * 4
     assert run(cap_lengths, [rest, 0, 1.0], float, 4).tolist() == [1.0, 2.0, 2.0, 2.0]

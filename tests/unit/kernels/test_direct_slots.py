@@ -10,6 +10,8 @@ from burnish.engine.passes.direct_light import slots_of
 from burnish.kernels.direct_reservoir import SIDE, TILE_SLOTS, DirectOptions, pixel_of_slot, slot_of_pixel
 from burnish.kernels.view import View
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -33,8 +35,8 @@ def test_each_pixel_has_a_slot(size: tuple[int, int], frame: int) -> None:
     options = DirectOptions()
     options.width, options.height = size
     count = slots_of(width, height)
-    pixels, slots = (wp.zeros(count, dtype=int, device="cpu") for _ in range(2))
-    wp.launch(go_round, count, [wp.array(row, dtype=View, device="cpu"), options], [pixels, slots], device="cpu")
+    pixels, slots = (wp.zeros(count, dtype=int, device=DEVICE) for _ in range(2))
+    wp.launch(go_round, count, [wp.array(row, dtype=View, device=DEVICE), options], [pixels, slots], device=DEVICE)
     pixels = pixels.numpy()
     np.testing.assert_array_equal(slots.numpy(), np.arange(count))
     valid = pixels >= 0

@@ -8,6 +8,8 @@ import pytest
 import warp as wp
 from burnish.kernels import fresnel
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
@@ -51,18 +53,18 @@ def evaluate_inverse(
 def dielectric(cosines: np.ndarray, eta: float, f0: tuple = (0.04, 0.5, 1.0)) -> tuple[np.ndarray, ...]:
     """Return (reflectance and refracted cosine, generalised Schlick, average) at the cosines."""
     count = len(cosines)
-    outputs = [wp.zeros(count, dtype=wp.vec2, device="cpu"), wp.zeros(count, dtype=wp.vec3, device="cpu"),
-               wp.zeros(count, dtype=float, device="cpu")]
-    inputs = [wp.array(cosines, dtype=float, device="cpu"), float(eta), wp.vec3(*f0)]
-    wp.launch(evaluate_dielectric, count, inputs, outputs, device="cpu")
+    outputs = [wp.zeros(count, dtype=wp.vec2, device=DEVICE), wp.zeros(count, dtype=wp.vec3, device=DEVICE),
+               wp.zeros(count, dtype=float, device=DEVICE)]
+    inputs = [wp.array(cosines, dtype=float, device=DEVICE), float(eta), wp.vec3(*f0)]
+    wp.launch(evaluate_dielectric, count, inputs, outputs, device=DEVICE)
     return tuple(output.numpy() for output in outputs)
 
 
 def metal(cosines: np.ndarray, f0: tuple, tint: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Return (reflectance, average) of the F82 model at the cosines."""
-    outputs = [wp.zeros(len(cosines), dtype=wp.vec3, device="cpu") for _ in range(2)]
-    inputs = [wp.array(cosines, dtype=float, device="cpu"), wp.vec3(*f0), wp.vec3(*tint)]
-    wp.launch(evaluate_f82, len(cosines), inputs, outputs, device="cpu")
+    outputs = [wp.zeros(len(cosines), dtype=wp.vec3, device=DEVICE) for _ in range(2)]
+    inputs = [wp.array(cosines, dtype=float, device=DEVICE), wp.vec3(*f0), wp.vec3(*tint)]
+    wp.launch(evaluate_f82, len(cosines), inputs, outputs, device=DEVICE)
     return outputs[0].numpy(), outputs[1].numpy()
 
 
@@ -94,8 +96,8 @@ def test_dielectric_ignores_the_sign_of_the_cosine() -> None:
 def test_index_and_reflectance_invert_each_other() -> None:
     """Return the index that a reflectance came from, up to the cap of 0.99."""
     iors = np.geomspace(1.0001, 300.0, 100).astype(np.float32)
-    out = wp.zeros(len(iors), dtype=float, device="cpu")
-    wp.launch(evaluate_inverse, len(iors), [wp.array(iors, device="cpu")], [out], device="cpu")
+    out = wp.zeros(len(iors), dtype=float, device=DEVICE)
+    wp.launch(evaluate_inverse, len(iors), [wp.array(iors, device=DEVICE)], [out], device=DEVICE)
     np.testing.assert_allclose(out.numpy(), iors, rtol=1e-3)
 
 

@@ -8,7 +8,8 @@ from burnish.kernels.gather_blend import PROBE_MOST, TAPS, blend_gathered
 from burnish.kernels.gather_temporal import GatherHistory
 from burnish.kernels.long_mean import pack_mean, unpack_mean
 
-from tests.denoise_frames import DEVICE, SIZE, Frames
+from tests.denoise_frames import SIZE, Frames
+from tests.device import DEVICE
 
 COUNT = SIZE * SIZE
 FRAMES = 16

@@ -18,6 +18,7 @@ from burnish.kernels.surface_brdf import evaluate_brdf
 from burnish.kernels.types import Closure, ShadingPoint, Tables
 
 from tests import bsdf_cases
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -127,14 +128,14 @@ def run_cases(names: list[str], cosines: list[float]) -> tuple[list, list]:
 
 def device_array(values: list, dtype: type) -> wp.array:
     """Return a device array of structs."""
-    return wp.array(values, dtype=dtype, device="cpu")
+    return wp.array(values, dtype=dtype, device=DEVICE)
 
 
 def make_gbuffer(count: int) -> GBuffer:
     """Return an empty G-buffer."""
     buffers = GBuffer()
     for name, dtype in GBUFFER_ARRAYS.items():
-        setattr(buffers, name, wp.zeros(count, dtype=dtype, device="cpu"))
+        setattr(buffers, name, wp.zeros(count, dtype=dtype, device=DEVICE))
     return buffers
 
 
@@ -142,10 +143,10 @@ def make_gbuffer(count: int) -> GBuffer:
 def test_albedos_are_the_lobes_integrals(name: str) -> None:
     """Compare table look-ups with integration by sampling, for views from steep to shallow."""
     closures, points = run_cases([name], [0.95, 0.7, 0.4, 0.2])
-    table = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
-    integral = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
-    wp.launch(measure_albedos, 4, [albedo_tables("cpu"), device_array(closures, Closure),
-                                   device_array(points, ShadingPoint), SAMPLES], [table, integral], device="cpu")
+    table = wp.zeros((4, 4), dtype=wp.vec3, device=DEVICE)
+    integral = wp.zeros((4, 4), dtype=wp.vec3, device=DEVICE)
+    wp.launch(measure_albedos, 4, [albedo_tables(DEVICE), device_array(closures, Closure),
+                                   device_array(points, ShadingPoint), SAMPLES], [table, integral], device=DEVICE)
     # Refraction without Fresnel has no table of its own: that of glass stands in.
     tolerance = 0.05 if name == "refraction" else 0.02
     np.testing.assert_allclose(table.numpy(), integral.numpy(), atol=0.012, rtol=tolerance)
@@ -159,9 +160,9 @@ def test_packed_lobes_keep_the_albedo(name: str) -> None:
     cosines = [0.95, 0.7, 0.4, 0.2]
     closures, points = run_cases([name], cosines)
     packed = make_gbuffer(len(cosines))
-    outputs = [packed, *(wp.zeros(len(cosines), dtype=wp.vec3, device="cpu") for _ in range(2))]
-    inputs = [albedo_tables("cpu"), device_array(closures, Closure), device_array(points, ShadingPoint)]
-    wp.launch(fit_and_integrate, len(cosines), [*inputs, 4 * SAMPLES], outputs, device="cpu")
+    outputs = [packed, *(wp.zeros(len(cosines), dtype=wp.vec3, device=DEVICE) for _ in range(2))]
+    inputs = [albedo_tables(DEVICE), device_array(closures, Closure), device_array(points, ShadingPoint)]
+    wp.launch(fit_and_integrate, len(cosines), [*inputs, 4 * SAMPLES], outputs, device=DEVICE)
     # A rough coat's albedo is a fit, see specular_lobes.coat_albedo.
     np.testing.assert_allclose(outputs[2].numpy(), outputs[1].numpy(), rtol=0.04 if name == "rough coat" else 0.02)
 
@@ -172,9 +173,9 @@ def test_a_coat_is_a_lobe_of_its_own_where_it_shows(name: str, coat: float, roug
     """Keep the coat's roughness and the base's apart unless one lobe can stand for both."""
     closures, points = run_cases([name], [0.7])
     packed = make_gbuffer(1)
-    outputs = [packed, *(wp.zeros(1, dtype=wp.vec3, device="cpu") for _ in range(2))]
-    wp.launch(fit_and_integrate, 1, [albedo_tables("cpu"), device_array(closures, Closure),
-                                     device_array(points, ShadingPoint), 1], outputs, device="cpu")
+    outputs = [packed, *(wp.zeros(1, dtype=wp.vec3, device=DEVICE) for _ in range(2))]
+    wp.launch(fit_and_integrate, 1, [albedo_tables(DEVICE), device_array(closures, Closure),
+                                     device_array(points, ShadingPoint), 1], outputs, device=DEVICE)
     material, coated = int(packed.material.numpy()[0]), int(packed.coat.numpy()[0])
     assert bool(material & int(gbuffer.SURFACE_COATED)) == (coat > 0.0)
     assert (material & 65535) / 65535 == pytest.approx(roughness, abs=5e-3)
@@ -213,12 +214,12 @@ def test_packed_material_has_the_same_values(name: str, tolerance: float) -> Non
     count, directions = 2, 512
     closures, points = run_cases([name], [0.9, 0.5])
     packed = make_gbuffer(count)
-    tables = albedo_tables("cpu")
+    tables = albedo_tables(DEVICE)
     inputs = [tables, device_array(closures, Closure), device_array(points, ShadingPoint)]
-    scratch = [wp.zeros(count, dtype=wp.vec3, device="cpu") for _ in range(2)]
-    wp.launch(fit_and_integrate, count, [*inputs, 1], [packed, *scratch], device="cpu")
-    outputs = [wp.zeros((count, 2 * directions), dtype=wp.vec3, device="cpu") for _ in range(2)]
-    wp.launch(compare_values, (count, directions), [*inputs, packed], outputs, device="cpu")
+    scratch = [wp.zeros(count, dtype=wp.vec3, device=DEVICE) for _ in range(2)]
+    wp.launch(fit_and_integrate, count, [*inputs, 1], [packed, *scratch], device=DEVICE)
+    outputs = [wp.zeros((count, 2 * directions), dtype=wp.vec3, device=DEVICE) for _ in range(2)]
+    wp.launch(compare_values, (count, directions), [*inputs, packed], outputs, device=DEVICE)
     real, value = outputs[0].numpy(), outputs[1].numpy()
     assert real.max() > 0.05
     np.testing.assert_allclose(value, real, rtol=tolerance, atol=tolerance * real.max())
@@ -240,9 +241,9 @@ def weigh_taps(
 def test_taps_interpolate() -> None:
     """Weigh the 2x2 pixels around a position bilinearly; a pixel's centre counts that pixel alone."""
     positions = np.array([[3.5, 7.5], [3.75, 7.5], [4.0, 8.0], [3.5, 7.25]], np.float32)
-    weights = wp.zeros((4, 4), dtype=float, device="cpu")
-    pixels = wp.zeros((4, 4), dtype=int, device="cpu")
-    wp.launch(weigh_taps, (4, 4), [wp.array(positions, dtype=wp.vec2, device="cpu")], [weights, pixels], device="cpu")
+    weights = wp.zeros((4, 4), dtype=float, device=DEVICE)
+    pixels = wp.zeros((4, 4), dtype=int, device=DEVICE)
+    wp.launch(weigh_taps, (4, 4), [wp.array(positions, dtype=wp.vec2, device=DEVICE)], [weights, pixels], device=DEVICE)
     expected = [[1, 0, 0, 0], [0.75, 0.25, 0, 0], [0.25] * 4, [0.25, 0, 0.75, 0]]
     np.testing.assert_allclose(weights.numpy(), expected, atol=1e-6)
     assert pixels.numpy()[:3].tolist() == [[703, 704, 803, 804]] * 3
@@ -253,8 +254,8 @@ def test_bright_reflectance_survives_packing() -> None:
     """Keep the reflectance of rough white metal above 1, and flags that are not those of packing."""
     closures, points = run_cases(["white metal"], [1.0])
     packed = make_gbuffer(1)
-    outputs = [packed, *(wp.zeros(1, dtype=wp.vec3, device="cpu") for _ in range(2))]
-    wp.launch(fit_and_integrate, 1, [albedo_tables("cpu"), device_array(closures, Closure),
-                                     device_array(points, ShadingPoint), SAMPLES], outputs, device="cpu")
+    outputs = [packed, *(wp.zeros(1, dtype=wp.vec3, device=DEVICE) for _ in range(2))]
+    wp.launch(fit_and_integrate, 1, [albedo_tables(DEVICE), device_array(closures, Closure),
+                                     device_array(points, ShadingPoint), SAMPLES], outputs, device=DEVICE)
     assert int(packed.material.numpy()[0]) & int(gbuffer.SURFACE_BRIGHT)
     np.testing.assert_allclose(outputs[2].numpy(), 1.0, atol=0.02)

@@ -10,6 +10,7 @@ from burnish.kernels import ggx
 from burnish.kernels.sampling import sample_pair
 
 from tests.bsdf_cases import chi_squared_score, count_on_sphere, counts_due, sphere_grid, view
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -65,16 +66,16 @@ def draw(
 
 def lobe_at(wo: tuple, wi: np.ndarray, alpha: tuple, lobe: int, eta: float = 1.5) -> np.ndarray:
     """Return (value, pdf, cosine at the normal) for the directions wi."""
-    out = wp.zeros(len(wi), dtype=wp.vec3, device="cpu")
-    directions = wp.array(wi.astype(np.float32), dtype=wp.vec3, device="cpu")
-    wp.launch(evaluate_lobe, len(wi), [wp.vec3(*wo), directions, wp.vec2(*alpha), eta, lobe], [out], device="cpu")
+    out = wp.zeros(len(wi), dtype=wp.vec3, device=DEVICE)
+    directions = wp.array(wi.astype(np.float32), dtype=wp.vec3, device=DEVICE)
+    wp.launch(evaluate_lobe, len(wi), [wp.vec3(*wo), directions, wp.vec2(*alpha), eta, lobe], [out], device=DEVICE)
     return out.numpy()
 
 
 def draw_many(wo: tuple, alpha: tuple, lobe: int, eta: float = 1.5, count: int = 1 << 17) -> np.ndarray:
     """Return sampled directions."""
-    out = wp.zeros(count, dtype=wp.vec3, device="cpu")
-    wp.launch(draw, count, [wp.vec3(*wo), wp.vec2(*alpha), eta, lobe], [out], device="cpu")
+    out = wp.zeros(count, dtype=wp.vec3, device=DEVICE)
+    wp.launch(draw, count, [wp.vec3(*wo), wp.vec2(*alpha), eta, lobe], [out], device=DEVICE)
     return out.numpy()
 
 
@@ -88,9 +89,9 @@ def test_density_projects_to_one(alpha_x: float, alpha_y: float) -> None:
     slope = np.stack([alpha_x * radius * np.cos(phi), alpha_y * radius * np.sin(phi)], -1)
     cos2 = 1 / (1 + (slope**2).sum(-1))
     normals = np.concatenate([slope, np.ones((n, n, 1))], -1) * np.sqrt(cos2)[..., None]
-    out = wp.zeros(n * n, dtype=float, device="cpu")
-    flat = wp.array(normals.reshape(-1, 3).astype(np.float32), dtype=wp.vec3, device="cpu")
-    wp.launch(evaluate_d, n * n, [flat, alpha_x, alpha_y], [out], device="cpu")
+    out = wp.zeros(n * n, dtype=float, device=DEVICE)
+    flat = wp.array(normals.reshape(-1, 3).astype(np.float32), dtype=wp.vec3, device=DEVICE)
+    wp.launch(evaluate_d, n * n, [flat, alpha_x, alpha_y], [out], device=DEVICE)
     # m.z dm = m.z^4 dslope, and dslope = alpha_x alpha_y / (2 (1 - u)^2) du dphi.
     jacobian = cos2**2 * alpha_x * alpha_y / (2 * (1 - u) ** 2)
     assert abs((out.numpy().reshape(n, n) * jacobian).mean() * 2 * np.pi - 1) < 2e-3

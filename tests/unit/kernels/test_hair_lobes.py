@@ -10,6 +10,8 @@ from burnish.kernels.hair_lobes import evaluate_hair, lobes_at, sample_hair, str
 from burnish.kernels.sampling import sample_pair
 from burnish.kernels.shading_types import Closure, ShadingPoint
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 COLUMNS = wp.constant(128)
@@ -82,10 +84,10 @@ def estimates(absorption: tuple[float, float, float]) -> tuple[np.ndarray, np.nd
     """Return [cases, views, 4] of both kernels' estimates."""
     sines, offsets = (values.ravel().astype(np.float32) for values in np.meshgrid(
         [-0.9, -0.4, 0.0, 0.5], [-0.95, -0.3, 0.0, 0.7]))
-    cases = wp.array(np.array(CASES, np.float32), dtype=float, device="cpu")
-    outputs = [wp.zeros((len(CASES), len(sines)), dtype=wp.vec4, device="cpu") for _ in range(2)]
-    inputs = [cases, wp.array(sines, dtype=float, device="cpu"), wp.array(offsets, dtype=float, device="cpu")]
-    wp.launch(integrate, (len(CASES), len(sines)), [*inputs, wp.vec3(*absorption), 1 << 16], outputs, device="cpu")
+    cases = wp.array(np.array(CASES, np.float32), dtype=float, device=DEVICE)
+    outputs = [wp.zeros((len(CASES), len(sines)), dtype=wp.vec4, device=DEVICE) for _ in range(2)]
+    inputs = [cases, wp.array(sines, dtype=float, device=DEVICE), wp.array(offsets, dtype=float, device=DEVICE)]
+    wp.launch(integrate, (len(CASES), len(sines)), [*inputs, wp.vec3(*absorption), 1 << 16], outputs, device=DEVICE)
     sampled, even = (output.numpy() for output in outputs)
     return sampled, even
 
@@ -145,9 +147,9 @@ def test_offsets_are_even_over_a_tube():
     """However a tube of six sides is turned, offsets go evenly from one edge of what it shows to the other."""
     turns = np.linspace(0, 1.0, 9).astype(np.float32)
     places = np.linspace(0.02, 0.98, 25).astype(np.float32)
-    out = wp.zeros((len(turns), len(places)), dtype=float, device="cpu")
-    wp.launch(offsets_across, out.shape, [wp.array(turns, device="cpu"), wp.array(places, device="cpu")], [out],
-              device="cpu")
+    out = wp.zeros((len(turns), len(places)), dtype=float, device=DEVICE)
+    wp.launch(offsets_across, out.shape, [wp.array(turns, device=DEVICE), wp.array(places, device=DEVICE)], [out],
+              device=DEVICE)
     np.testing.assert_allclose(out.numpy(), np.broadcast_to(1 - 2 * places, out.shape), atol=2e-3)
 
 

@@ -17,6 +17,8 @@ from burnish.kernels.reflection_glass import is_inside, sample_inside, trapped_a
 from burnish.kernels.specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
 from burnish.kernels.types import CLOSURE_PRINCIPLED, CLOSURE_REFRACTION, Bsdf, Closure, ShadingPoint, Tables
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 SAMPLES = 4096
@@ -122,10 +124,10 @@ def ratios(color: float, metallic: float, ior: float, coat: float = 0.0) -> tupl
     words = GBuffer()
     shape = (len(COSINES), len(ROUGHNESSES))
     for name in WORDS:
-        setattr(words, name, wp.zeros(shape[0] * shape[1], dtype=wp.uint32, device="cpu"))
-    out = [wp.zeros(shape, dtype=float, device="cpu") for _ in range(2)]
-    axes = [wp.array(axis, dtype=float, device="cpu") for axis in (COSINES, ROUGHNESSES)]
-    wp.launch(compare, shape, [albedo_tables("cpu"), look, *axes], [*out, words], device="cpu")
+        setattr(words, name, wp.zeros(shape[0] * shape[1], dtype=wp.uint32, device=DEVICE))
+    out = [wp.zeros(shape, dtype=float, device=DEVICE) for _ in range(2)]
+    axes = [wp.array(axis, dtype=float, device=DEVICE) for axis in (COSINES, ROUGHNESSES)]
+    wp.launch(compare, shape, [albedo_tables(DEVICE), look, *axes], [*out, words], device=DEVICE)
     return out[0].numpy(), out[1].numpy()
 
 
@@ -170,8 +172,8 @@ def test_glass_keeps_light_inside(cosine, roughness):
     """Lose none of the light inside of white glass, whether it is reflected in total or not."""
     look = Look()
     look.color, look.transmission, look.ior = 1.0, 1.0, 1.5
-    out = wp.zeros(3, dtype=float, device="cpu")
-    wp.launch(leave_glass, 1, [albedo_tables("cpu"), look, cosine, roughness], [out], device="cpu")
+    out = wp.zeros(3, dtype=float, device=DEVICE)
+    wp.launch(leave_glass, 1, [albedo_tables(DEVICE), look, cosine, roughness], [out], device=DEVICE)
     kept, trapped, inside = out.numpy()
     assert inside == 1.0
     # Cycles' tables count some light as kept that its lobe drops, see albedo_tables.glass_sample.
@@ -204,11 +206,11 @@ def refract(tables: Tables, roughness: float, coat: float, found_out: wp.array[f
 @pytest.mark.parametrize("roughness", [0.0, 0.2, 0.7])
 def test_filters_know_how_sharp_refraction_is(roughness):
     """Where nothing reflects, the roughness by which light through a surface is filtered is that of its glass."""
-    out = wp.zeros(2, dtype=float, device="cpu")
-    wp.launch(refract, 1, [albedo_tables("cpu"), roughness, 0.0], [out], device="cpu")
+    out = wp.zeros(2, dtype=float, device=DEVICE)
+    wp.launch(refract, 1, [albedo_tables(DEVICE), roughness, 0.0], [out], device=DEVICE)
     found, transmitted = out.numpy()
     assert transmitted > 0.5
     assert found == pytest.approx(roughness, abs=1.0e-3)
-    wp.launch(refract, 1, [albedo_tables("cpu"), roughness, 0.5], [out], device="cpu")
+    wp.launch(refract, 1, [albedo_tables(DEVICE), roughness, 0.5], [out], device=DEVICE)
     # One lobe reflects, and the G-buffer has one roughness.
     assert out.numpy()[0] == pytest.approx(0.3, abs=1.0e-3)

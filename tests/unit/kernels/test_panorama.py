@@ -12,6 +12,8 @@ from burnish.engine.scene import CameraData, CameraKind
 from burnish.kernels import panorama
 from burnish.kernels.types import FrameData
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 WIDTH, HEIGHT = 64, 32
@@ -47,10 +49,10 @@ def rays(camera, places, lenses=None, size=(WIDTH, HEIGHT)):
     row = frame_row(camera, *size, (0, 0, *size), 0, np.zeros(3))
     places = np.asarray(places, np.float32).reshape(-1, 2)
     lenses = np.zeros_like(places) if lenses is None else np.asarray(lenses, np.float32)
-    outs = [wp.zeros(len(places), dtype=dtype, device="cpu") for dtype in (wp.vec3, wp.vec4, wp.vec2)]
+    outs = [wp.zeros(len(places), dtype=dtype, device=DEVICE) for dtype in (wp.vec3, wp.vec4, wp.vec2)]
     wp.launch(shoot, len(places), [
-        wp.array(row, dtype=FrameData, device="cpu"), wp.array(places, dtype=wp.vec2, device="cpu"),
-        wp.array(lenses, dtype=wp.vec2, device="cpu"), *outs], device="cpu")
+        wp.array(row, dtype=FrameData, device=DEVICE), wp.array(places, dtype=wp.vec2, device=DEVICE),
+        wp.array(lenses, dtype=wp.vec2, device=DEVICE), *outs], device=DEVICE)
     return [out.numpy() for out in outs]
 
 

@@ -9,6 +9,8 @@ import warp as wp
 from burnish.kernels import probe_blend, probe_map, probe_rays, probe_spawn, probe_turns
 from burnish.kernels.geometry_math import to_frame
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 SIDE = 512
@@ -105,15 +107,15 @@ def serve(
 
 def run(kernel, count, inputs, outputs):
     """Launch on the processor and return the outputs as numpy arrays."""
-    arrays = [wp.zeros(count, dtype=dtype, device="cpu") for dtype in outputs]
-    wp.launch(kernel, count, inputs, arrays, device="cpu", block_dim=1)
+    arrays = [wp.zeros(count, dtype=dtype, device=DEVICE) for dtype in outputs]
+    wp.launch(kernel, count, inputs, arrays, device=DEVICE, block_dim=1)
     return [array.numpy() for array in arrays]
 
 
 def integrals(exact=1):
     """Return the tables of the cells [64, 10] and [64]."""
-    weights, cosines = wp.zeros(640, dtype=float, device="cpu"), wp.zeros(64, dtype=float, device="cpu")
-    wp.launch(probe_map.integrate_cells, 64, [64, exact], [weights, cosines], device="cpu", block_dim=1)
+    weights, cosines = wp.zeros(640, dtype=float, device=DEVICE), wp.zeros(64, dtype=float, device=DEVICE)
+    wp.launch(probe_map.integrate_cells, 64, [64, exact], [weights, cosines], device=DEVICE, block_dim=1)
     return weights, cosines
 
 
@@ -139,8 +141,8 @@ def test_frames_agree():
     n[:3] = [[0, 0, 1], [0, 0, -1], [1, 0, 0]]
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     d = rng.normal(size=(1000, 3))
-    back, = run(rotate_back, 1000, [wp.array(n, dtype=wp.vec3, device="cpu"),
-                                    wp.array(d, dtype=wp.vec3, device="cpu")], [wp.vec3])
+    back, = run(rotate_back, 1000, [wp.array(n, dtype=wp.vec3, device=DEVICE),
+                                    wp.array(d, dtype=wp.vec3, device=DEVICE)], [wp.vec3])
     np.testing.assert_allclose(back, d, atol=1e-5)
 
 
@@ -150,27 +152,27 @@ def test_white_hemisphere(angle):
     weights, cosines = integrals()
     np.testing.assert_allclose(cosines.numpy().sum(), 32.0, rtol=1e-4)
     a = np.radians(angle)
-    normals = wp.array([[np.sin(a), 0, np.cos(a)]], dtype=wp.vec3, device="cpu")
-    value, = run(evaluate_bands, 1, [normals, weights, wp.array(np.ones(64), dtype=float, device="cpu")], [float])
+    normals = wp.array([[np.sin(a), 0, np.cos(a)]], dtype=wp.vec3, device=DEVICE)
+    value, = run(evaluate_bands, 1, [normals, weights, wp.array(np.ones(64), dtype=float, device=DEVICE)], [float])
     np.testing.assert_allclose(value, (1 + np.cos(a)) / 2, rtol=1e-3)
 
 
 def test_one_cell_is_exact_along_the_normal():
     """Give each cell's own mean cosine along the probe's normal, which harmonics alone don't."""
     weights, cosines = integrals()
-    up = wp.array([[0, 0, 1]], dtype=wp.vec3, device="cpu")
+    up = wp.array([[0, 0, 1]], dtype=wp.vec3, device=DEVICE)
     for cell in range(64):
         light = np.zeros(64)
         light[cell] = 1.0
-        value, = run(evaluate_bands, 1, [up, weights, wp.array(light, dtype=float, device="cpu")], [float])
+        value, = run(evaluate_bands, 1, [up, weights, wp.array(light, dtype=float, device=DEVICE)], [float])
         np.testing.assert_allclose(value, cosines.numpy()[cell] / 32, rtol=1e-3, atol=1e-6)
 
 
 def test_published_weights_differ():
     """Show the published estimate's energy: 3.24 / 8 of what a white sky gives, times pi over 1."""
     weights, _ = integrals(exact=0)
-    up = wp.array([[0, 0, 1]], dtype=wp.vec3, device="cpu")
-    value, = run(evaluate_bands, 1, [up, weights, wp.array(np.ones(64), dtype=float, device="cpu")], [float])
+    up = wp.array([[0, 0, 1]], dtype=wp.vec3, device=DEVICE)
+    value, = run(evaluate_bands, 1, [up, weights, wp.array(np.ones(64), dtype=float, device=DEVICE)], [float])
     assert 1.25 < value[0] < 1.33
 
 
@@ -187,7 +189,7 @@ def test_rounding_has_no_bias(value):
 @pytest.mark.parametrize(("free", "empty"), [(7, 3), (3, 7), (100, 1), (1, 100), (64, 64), (50000, 129000), (5, 0)])
 def test_patching_is_a_bijection(free, empty):
     """Serve min(free, empty) tiles, none twice, whichever the frame."""
-    tiles = wp.array(np.arange(max(empty, 1)), dtype=int, device="cpu")
+    tiles = wp.array(np.arange(max(empty, 1)), dtype=int, device=DEVICE)
     for frame in (0, 1, 12345):
         served, = run(serve, free, [free, empty, frame, tiles], [int])
         served = served[served >= 0]
@@ -201,11 +203,11 @@ def test_distance_across_a_surface():
     arc = np.stack([np.sin(angles), np.zeros(3), np.cos(angles)], 1)
     top = np.broadcast_to([0.0, 0.0, 1.0], (3, 3))
     offsets = (arc - top) * 5.0
-    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu") for x in (top, arc, offsets)]
+    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device=DEVICE) for x in (top, arc, offsets)]
     (found,) = run(measure_layers, 3, arrays, [float])
     assert np.abs(offsets[2, 2]) > 0.8 and np.abs(found).max() < 1e-5
     layer = np.array([[0.7, -0.4, 0.12]] * 3)
-    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu") for x in (top, top, layer)]
+    arrays = [wp.array(x.astype(np.float32), dtype=wp.vec3, device=DEVICE) for x in (top, top, layer)]
     (found,) = run(measure_layers, 3, arrays, [float])
     assert found == pytest.approx(np.full(3, 0.12), rel=1e-5)
 
@@ -216,9 +218,9 @@ def test_distances_scale(scale):
     sky = float(probe_rays.MISS_DISTANCE)
     near = np.array([3.0e-3, 0.1, 4.0, 4.0]) * scale
     far = np.array([6.0e-3, 0.1, 12.0, sky / scale]) * scale
-    ways = [wp.array(x, dtype=float, device="cpu") for x in (near, far)]
+    ways = [wp.array(x, dtype=float, device=DEVICE) for x in (near, far)]
     means, = run(mean_distances, 4, [*ways, 0.25], [float])
     np.testing.assert_allclose(means, np.array([3.428571e-3, 0.1, 4.8, 4.0 / 0.75]) * scale, rtol=1e-5)
-    skies = wp.array([sky], dtype=float, device="cpu")
+    skies = wp.array([sky], dtype=float, device=DEVICE)
     only, = run(mean_distances, 1, [skies, skies, 0.25], [float])
     assert only[0] == pytest.approx(sky)

@@ -12,6 +12,8 @@ from burnish.kernels.geometry_math import TWO_PI
 from burnish.kernels.reflection_highlights import HitLobe, lobe_density, make_highlight, pack_lobe, unpack_lobe
 from burnish.kernels.types import ShadingPoint, Tables
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 SAMPLES = 65536
@@ -52,10 +54,10 @@ def gather(
 @pytest.mark.parametrize("share", [0.04, 0.5], ids=["dielectric", "metal"])
 def test_lobes_reflect_their_albedo(share, light):
     """Find 1 whatever the roughness, however wide the lobe is made: what it is evaluated for is over its albedo."""
-    out = wp.zeros((len(COSINES), len(ROUGHNESSES)), dtype=float, device="cpu")
+    out = wp.zeros((len(COSINES), len(ROUGHNESSES)), dtype=float, device=DEVICE)
     wp.launch(gather, out.shape, [
-        albedo_tables("cpu"), wp.array(COSINES, dtype=float, device="cpu"),
-        wp.array(ROUGHNESSES, dtype=float, device="cpu"), share, light, SAMPLES], [out], device="cpu")
+        albedo_tables(DEVICE), wp.array(COSINES, dtype=float, device=DEVICE),
+        wp.array(ROUGHNESSES, dtype=float, device=DEVICE), share, light, SAMPLES], [out], device=DEVICE)
     np.testing.assert_allclose(out.numpy(), 1.0, atol=0.06)
 
 
@@ -77,7 +79,7 @@ def pack(albedo: wp.vec3, roughness: float, share: float, out: wp.array[float]):
 
 def test_lobes_fit_eight_bytes():
     """Get a lobe back about as it was, brighter than white too: it may be over a small chance."""
-    out = wp.zeros(6, dtype=float, device="cpu")
-    wp.launch(pack, 1, [wp.vec3(0.04, 0.5, 3.0), 0.35, 0.04], [out], device="cpu")
+    out = wp.zeros(6, dtype=float, device=DEVICE)
+    wp.launch(pack, 1, [wp.vec3(0.04, 0.5, 3.0), 0.35, 0.04], [out], device=DEVICE)
     np.testing.assert_allclose(out.numpy()[:4], (0.04, 0.5, 3.0, 0.35), rtol=0.01)
     assert abs(out.numpy()[4] - 0.04) < 0.002 and out.numpy()[5] == 1.0

@@ -6,6 +6,8 @@ import pytest
 import warp as wp
 from burnish.kernels import sampling
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 COUNT = 1024
@@ -28,8 +30,8 @@ def warp_points(points: wp.array[wp.vec2], disk: wp.array[wp.vec2], cosine: wp.a
 
 
 def pairs(count, seed=7, dimension=0):
-    out = wp.zeros(count, dtype=wp.vec2, device="cpu")
-    wp.launch(draw_pairs, count, [seed, dimension, out], device="cpu")
+    out = wp.zeros(count, dtype=wp.vec2, device=DEVICE)
+    wp.launch(draw_pairs, count, [seed, dimension, out], device=DEVICE)
     return out.numpy()
 
 
@@ -61,12 +63,12 @@ def test_same_seed_same_numbers():
 def test_warps_keep_their_densities():
     """Compare moments of warped points with those of the densities they stand for."""
     count = 1 << 16
-    points = wp.array(pairs(count), dtype=wp.vec2, device="cpu")
-    disk = wp.zeros(count, dtype=wp.vec2, device="cpu")
-    triangle = wp.zeros(count, dtype=wp.vec2, device="cpu")
-    cosine = wp.zeros(count, dtype=wp.vec3, device="cpu")
-    cone = wp.zeros(count, dtype=wp.vec3, device="cpu")
-    wp.launch(warp_points, count, [points, disk, cosine, cone, triangle, 0.3], device="cpu")
+    points = wp.array(pairs(count), dtype=wp.vec2, device=DEVICE)
+    disk = wp.zeros(count, dtype=wp.vec2, device=DEVICE)
+    triangle = wp.zeros(count, dtype=wp.vec2, device=DEVICE)
+    cosine = wp.zeros(count, dtype=wp.vec3, device=DEVICE)
+    cone = wp.zeros(count, dtype=wp.vec3, device=DEVICE)
+    wp.launch(warp_points, count, [points, disk, cosine, cone, triangle, 0.3], device=DEVICE)
     radius = np.linalg.norm(disk.numpy(), axis=1)
     assert radius.max() <= 1.0 + 1e-6
     np.testing.assert_allclose((radius**2).mean(), 0.5, atol=1e-3)

@@ -6,6 +6,8 @@ import pytest
 import warp as wp
 from burnish.kernels import lamp_hit, lamp_sample, solid_angle, types
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False})
 
 GRID = 128
@@ -54,11 +56,11 @@ def grid():
 def drawn(corners, u):
     """Return solid angle, directions [n, 3] and points [n, 3] of samples of a triangle."""
     count = len(u)
-    points = wp.array(u, dtype=wp.vec2, device="cpu")
-    angle = wp.zeros(count, dtype=float, device="cpu")
-    direction, weights = (wp.zeros(count, dtype=kind, device="cpu") for kind in (wp.vec3, wp.vec2))
+    points = wp.array(u, dtype=wp.vec2, device=DEVICE)
+    angle = wp.zeros(count, dtype=float, device=DEVICE)
+    direction, weights = (wp.zeros(count, dtype=kind, device=DEVICE) for kind in (wp.vec3, wp.vec2))
     wp.launch(draw, count, [*(wp.vec3(*map(float, corner)) for corner in corners), points, angle, direction, weights],
-              device="cpu")
+              device=DEVICE)
     w = weights.numpy().astype(np.float64)
     a, b, c = np.asarray(corners, np.float64)
     return angle.numpy()[0], direction.numpy(), a + w[:, :1] * (b - a) + w[:, 1:] * (c - a)
@@ -134,14 +136,14 @@ def area_lamp(ellipse=False):
 def test_lamps_are_drawn_as_they_are_met(position, ellipse):
     """Give a lamp's sample the pdf of a ray that meets it, which is uniform for a rectangle that is close."""
     u = grid()
-    lamps = wp.array([area_lamp(ellipse)], dtype=types.Light, device="cpu")
-    points = wp.array(u, dtype=wp.vec2, device="cpu")
-    kind = wp.zeros(len(u), dtype=int, device="cpu")
-    direction = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
-    pdf, met = (wp.zeros(len(u), dtype=float, device="cpu") for _ in range(2))
-    along = wp.zeros(len(u), dtype=wp.vec2, device="cpu")
+    lamps = wp.array([area_lamp(ellipse)], dtype=types.Light, device=DEVICE)
+    points = wp.array(u, dtype=wp.vec2, device=DEVICE)
+    kind = wp.zeros(len(u), dtype=int, device=DEVICE)
+    direction = wp.zeros(len(u), dtype=wp.vec3, device=DEVICE)
+    pdf, met = (wp.zeros(len(u), dtype=float, device=DEVICE) for _ in range(2))
+    along = wp.zeros(len(u), dtype=wp.vec2, device=DEVICE)
     wp.launch(draw_lamp, len(u), [lamps, wp.vec3(*map(float, position)), points, kind, direction, pdf, met, along],
-              device="cpu")
+              device=DEVICE)
     found = (kind.numpy() >= 0) & (met.numpy() > 0)
     assert found.mean() > 0.98
     np.testing.assert_allclose(pdf.numpy()[found], met.numpy()[found], rtol=2e-3)
@@ -157,12 +159,12 @@ def test_lamps_are_drawn_as_they_are_met(position, ellipse):
 
 def test_lamps_behind_are_not_drawn():
     """Draw nothing from behind a lamp that is close."""
-    lamps = wp.array([area_lamp()], dtype=types.Light, device="cpu")
+    lamps = wp.array([area_lamp()], dtype=types.Light, device=DEVICE)
     u = grid()
-    kind = wp.zeros(len(u), dtype=int, device="cpu")
-    direction = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
-    pdf, met = (wp.zeros(len(u), dtype=float, device="cpu") for _ in range(2))
-    along = wp.zeros(len(u), dtype=wp.vec2, device="cpu")
-    wp.launch(draw_lamp, len(u), [lamps, wp.vec3(0.1, 0.1, 0.1), wp.array(u, dtype=wp.vec2, device="cpu"), kind,
-                                  direction, pdf, met, along], device="cpu")
+    kind = wp.zeros(len(u), dtype=int, device=DEVICE)
+    direction = wp.zeros(len(u), dtype=wp.vec3, device=DEVICE)
+    pdf, met = (wp.zeros(len(u), dtype=float, device=DEVICE) for _ in range(2))
+    along = wp.zeros(len(u), dtype=wp.vec2, device=DEVICE)
+    wp.launch(draw_lamp, len(u), [lamps, wp.vec3(0.1, 0.1, 0.1), wp.array(u, dtype=wp.vec2, device=DEVICE), kind,
+                                  direction, pdf, met, along], device=DEVICE)
     assert (kind.numpy() < 0).all()

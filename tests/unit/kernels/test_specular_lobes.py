@@ -10,6 +10,8 @@ from burnish.kernels.albedo_tables import plane_point, view_at
 from burnish.kernels.gbuffer import Surface, SurfaceMaterial
 from burnish.kernels.specular_lobes import lobes_pdf, lobes_value, sample_lobes, specular_lobes
 
+from tests.device import DEVICE
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 SAMPLES = 8192
@@ -51,10 +53,10 @@ def integrate(
 
 def integral(base: float) -> np.ndarray:
     """Return the albedos [cosine, roughness]."""
-    out = wp.zeros((len(COSINES), len(ROUGHNESSES)), dtype=float, device="cpu")
+    out = wp.zeros((len(COSINES), len(ROUGHNESSES)), dtype=float, device=DEVICE)
     wp.launch(integrate, out.shape, [
-        wp.array(COSINES, dtype=float, device="cpu"), wp.array(ROUGHNESSES, dtype=float, device="cpu"), base, SAMPLES],
-        [out], device="cpu")
+        *(wp.array(rows, dtype=float, device=DEVICE) for rows in (COSINES, ROUGHNESSES)), base, SAMPLES], [out],
+        device=DEVICE)
     return out.numpy()
 
 

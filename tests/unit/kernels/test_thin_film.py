@@ -15,6 +15,7 @@ from burnish.kernels.reflectance import bsdf_albedo
 from burnish.kernels.types import CLOSURE_GLASS, Closure, ShadingPoint, Tables
 
 from tests.bsdf_cases import albedo, closure, evaluate, point, view
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -48,10 +49,10 @@ def find_albedos(
 
 def films(thickness: float, ior: float, *, eta: float = 1.5, f0=(0.9, 0.6, 0.3), tint=(1.0, 1.0, 1.0)) -> tuple:
     """Return the reflectances of a dielectric and a metal under a film at COSINES."""
-    out = [wp.zeros(len(COSINES), dtype=wp.vec3, device="cpu") for _ in range(2)]
-    cosines = wp.array(COSINES, dtype=float, device="cpu")
+    out = [wp.zeros(len(COSINES), dtype=wp.vec3, device=DEVICE) for _ in range(2)]
+    cosines = wp.array(COSINES, dtype=float, device=DEVICE)
     wp.launch(evaluate_films, len(COSINES), [
-        albedo_tables("cpu"), thickness, ior, eta, wp.vec3(*f0), wp.vec3(*tint), cosines], out, device="cpu")
+        albedo_tables(DEVICE), thickness, ior, eta, wp.vec3(*f0), wp.vec3(*tint), cosines], out, device=DEVICE)
     return out[0].numpy(), out[1].numpy()
 
 
@@ -146,8 +147,8 @@ def test_albedo_of_films(look: dict) -> None:
             for cosine in (0.4, 0.9):
                 closures.append(closure(roughness=roughness, film_thickness=thickness, film_ior=ior, **look))
                 points.append(point(view(cosine)))
-        out = wp.zeros(len(closures), dtype=wp.vec3, device="cpu")
-        arrays = [wp.array(closures, dtype=Closure, device="cpu"), wp.array(points, dtype=ShadingPoint, device="cpu")]
-        wp.launch(find_albedos, len(closures), [albedo_tables("cpu"), *arrays], [out], device="cpu")
+        out = wp.zeros(len(closures), dtype=wp.vec3, device=DEVICE)
+        arrays = [wp.array(closures, dtype=Closure, device=DEVICE), wp.array(points, dtype=ShadingPoint, device=DEVICE)]
+        wp.launch(find_albedos, len(closures), [albedo_tables(DEVICE), *arrays], [out], device=DEVICE)
         expected = albedo(closures, points, 1 << 13)
         np.testing.assert_allclose(out.numpy(), expected, rtol=0.03, atol=2e-3)

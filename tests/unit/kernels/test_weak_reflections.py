@@ -4,12 +4,11 @@
 import numpy as np
 import pytest
 import warp as wp
-from burnish.engine.device import choose_device
 from burnish.engine.passes.ray_scene import reflection_options
 from burnish.engine.settings import ReflectionSettings
 from burnish.kernels.reflection_types import STRONG_ALBEDO, WEAK_ALBEDO, ReflectionOptions, ray_share
 
-from tests import scenes
+from tests.device import DEVICE
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -30,13 +29,12 @@ def write_shares(
 
 def shares(roughness, albedo, **settings):
     """Return the share of rays for each pair."""
-    device = choose_device(scenes.SETTINGS.device)
     roughness, albedo = np.broadcast_arrays(np.float32(roughness), np.float32(albedo))
-    out = wp.zeros(roughness.size, dtype=float, device=device)
+    out = wp.zeros(roughness.size, dtype=float, device=DEVICE)
     wp.launch(write_shares, roughness.size,
               [reflection_options(ReflectionSettings(**settings), 8, 8),
-               wp.array(roughness.reshape(-1), dtype=float, device=device),
-               wp.array(albedo.reshape(-1), dtype=float, device=device)], [out], device=device)
+               wp.array(roughness.reshape(-1), dtype=float, device=DEVICE),
+               wp.array(albedo.reshape(-1), dtype=float, device=DEVICE)], [out], device=DEVICE)
     return out.numpy().reshape(roughness.shape)
 
 
