@@ -8,7 +8,11 @@ about starting or ending a process belongs in a new one (`fresh_python`).
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import gc
+import importlib
+import importlib.util
 import json
 import os
 import signal
@@ -23,6 +27,9 @@ from pathlib import Path
 from typing import NoReturn
 
 __all__ = ["ScriptServer"]
+
+BLENDER_IMPORTS = ("cattrs.preconf.json", "multiprocessing.connection", "multiprocessing.synchronize", "requests")
+"""The longest of what Blender itself imports when it starts, where its version does"""
 
 POLL = 0.005
 """Seconds between two looks whether a script has ended"""
@@ -91,6 +98,15 @@ def _load() -> None:
     start_warp()
     for module in {module.__name__ for modules in FIRST_MODULES.values() for module in modules}:
         load_module(module, "cpu")
+    importlib.import_module("burnish.engine.session")
+    for module in BLENDER_IMPORTS:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(module)
+    # Blender's library is read and linked here; only its start, which makes threads, is left to forks.
+    ctypes.CDLL(importlib.util.find_spec("bpy").origin)
+    # Forks import thousands of objects, and would look through all that is here for garbage again and again.
+    gc.collect()
+    gc.freeze()
 
 
 def _run(request: dict) -> dict:

@@ -8,6 +8,7 @@ one may be launched in bands (engine/device.py runs those on several threads).
 from __future__ import annotations
 
 import ast
+import functools
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,10 @@ ROOT = Path(__file__).resolve().parents[2]
 MAX_KERNEL_LINES = 80
 RUN_BANDS = "run_bands"
 """The function in engine/device.py that runs launches side by side."""
+
+
+parse = functools.cache(ast.parse)
+"""Several tests read all files"""
 
 
 def decorator_name(node: ast.FunctionDef) -> str:
@@ -102,7 +107,7 @@ def kernel_errors(function: ast.FunctionDef, lines: list[str]) -> list[str]:
 
 def module_errors(source: str) -> list[str]:
     """Return all style errors of one file in kernels/."""
-    tree, lines = ast.parse(source), source.splitlines()
+    tree, lines = parse(source), source.splitlines()
     functions = warp_functions(tree)
     kernels = [function for function in functions if decorator_name(function) == "kernel"]
     errors = [error for function in functions for error in signature_errors(function)]
@@ -132,7 +137,7 @@ def module_options(tree: ast.Module) -> set[tuple[str, object]]:
 
 def atomic_kernels(sources: list[str]) -> set[str]:
     """Return the names of all kernels that use an atomic, themselves or in a function that they call."""
-    functions = {function.name: function for source in sources for function in warp_functions(ast.parse(source))}
+    functions = {function.name: function for source in sources for function in warp_functions(parse(source))}
     calls = {name: {called_name(node) for node in ast.walk(function) if isinstance(node, ast.Call)}
              for name, function in functions.items()}
     atomic = {name for name, function in functions.items() if any(map(is_atomic, ast.walk(function)))}
@@ -153,7 +158,7 @@ def names_in_bands(sources: list[str]) -> set[str]:
     Those are all names in functions that call run_bands; where such a function takes a parameter `kernel`, it is a
     launcher itself, and the names in its callers' arguments count instead.
     """
-    trees = [ast.parse(source) for source in sources]
+    trees = [parse(source) for source in sources]
     functions = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     calls = {function: [node for node in ast.walk(function) if isinstance(node, ast.Call)] for function in functions}
     launchers = {RUN_BANDS}

@@ -8,6 +8,7 @@ engine (kernels, Warp, NumPy; OpenImageIO in three files), kernels (Warp).
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import sys
 from collections.abc import Iterator
@@ -51,6 +52,10 @@ PRINTING = re.compile(r"^(addon/(cli|cli_\w+|bench|bench_\w+|progress)\.py)$")
 """Files that talk on standard output; all others report through Report or exceptions."""
 
 
+parse = functools.cache(ast.parse)
+"""Several tests read all files"""
+
+
 def package_files() -> list[Path]:
     """Return all Python files of the package, layers only."""
     return sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
@@ -80,7 +85,7 @@ def import_errors(source: str, path: str) -> list[str]:
     layer = path.split("/")[0]
     standard = KERNEL_STANDARD_LIBRARY if layer == "kernels" else sys.stdlib_module_names
     errors = []
-    for name, relative in imported_modules(ast.parse(source), path):
+    for name, relative in imported_modules(parse(source), path):
         top = name.split(".")[0]
         if relative:
             allowed = INSIDE[layer] | EXTRA.get(path, set())
@@ -95,7 +100,7 @@ def import_errors(source: str, path: str) -> list[str]:
 def manner_errors(source: str, path: str) -> list[str]:
     """Return bare excepts and prints in `source`, the file at `path` below the root."""
     errors = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parse(source)):
         if isinstance(node, ast.ExceptHandler) and node.type is None:
             errors.append(f"{path}:{node.lineno} has a bare except")
         is_print = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
@@ -161,7 +166,7 @@ def test_files_are_short_and_licensed() -> None:
             continue
         if lines[0] != "# SPDX-License-Identifier: GPL-3.0-or-later":
             errors.append(f"{relative(path)} does not begin with its SPDX line")
-        if ast.get_docstring(ast.parse(source)) is None:
+        if ast.get_docstring(parse(source)) is None:
             errors.append(f"{relative(path)} has no docstring")
         if len(lines) > MAX_LINES:
             errors.append(f"{relative(path)} has {len(lines)} lines, more than {MAX_LINES}")
@@ -173,7 +178,7 @@ def test_files_are_short_and_licensed() -> None:
 def test_annotated_properties_have_no_loops(path: Path) -> None:
     """Keep scopes of their own out of the annotations of Blender's classes, which it can't evaluate on Python 3.11."""
     loops = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, ast.Lambda)
-    classes = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ClassDef)]
+    classes = [node for node in ast.walk(parse(path.read_text("utf-8"))) if isinstance(node, ast.ClassDef)]
     found = [node.lineno for each in classes for node in each.body if isinstance(node, ast.AnnAssign)
              and any(isinstance(part, loops) for part in ast.walk(node.annotation))]
     assert not found

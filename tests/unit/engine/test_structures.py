@@ -71,23 +71,27 @@ def meshes(rings: int = 10, radius: float = 0.3) -> dict:
 
 def tried_in_turn(shapes: dict, placed: list[tuple], clear: bool, origin: np.ndarray, direction: np.ndarray,
                   ) -> tuple[np.ndarray, np.ndarray]:
-    """Return t (inf without a hit) and the instance of the closest triangle, by Moeller and Trumbore's test."""
+    """Return t (inf without a hit) and the instance of the closest triangle, by Moeller and Trumbore's test.
+
+    Its triple products are taken apart, so that products of matrices give them for all triangles and rays of an object.
+    """
     best, owner = np.full(len(origin), np.inf), np.full(len(origin), -1)
+    moment = np.cross(origin, direction)
     for number, (key, matrix, material) in enumerate(placed):
         if MATERIALS[material].has_transparency != clear:
             continue
         mesh = shapes[key]
         points = mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        for a, b, c in points[mesh.triangles]:
-            cross = np.cross(direction, c - a)
-            with np.errstate(all="ignore"):
-                scale = 1.0 / (cross @ (b - a))
-                u = ((origin - a) * cross).sum(1) * scale
-                other = np.cross(origin - a, b - a)
-                v = (direction * other).sum(1) * scale
-                t = other @ (c - a) * scale
-                closer = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t < best)
-            best, owner = np.where(closer, t, best), np.where(closer, number, owner)
+        a, b, c = np.moveaxis(points[mesh.triangles], 1, 0)
+        across, up = b - a, c - a
+        normal = np.cross(across, up)
+        with np.errstate(all="ignore"):
+            scale = -1.0 / (normal @ direction.T)
+            u = (up @ moment.T - np.cross(up, a) @ direction.T) * scale
+            v = (np.cross(across, a) @ direction.T - across @ moment.T) * scale
+            t = (normal @ origin.T - (normal * a).sum(1)[:, None]) * scale
+            t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0), t, np.inf).min(0, initial=np.inf)
+        best, owner = np.where(t < best, t, best), np.where(t < best, number, owner)
     return best, owner
 
 
