@@ -8,6 +8,7 @@ import warp as wp
 
 from ..kernels.motion import Motion
 from .device_scene import DeviceScene
+from .moved_ways import MovedWays
 from .staging import RowWriter
 
 __all__ = ["MotionTracker"]
@@ -27,6 +28,7 @@ class MotionTracker:
         self.motion.moved = wp.zeros(1, dtype=int, device=device)
         self.motion.previous_to_world = wp.zeros(1, dtype=wp.mat44, device=device)
         self.motion.previous_positions = wp.zeros(1, dtype=wp.vec3, device=device)
+        self.ways = MovedWays(device)
         self._moved = False
         self._source: wp.array | None = None
         """The scene's positions"""
@@ -56,6 +58,7 @@ class MotionTracker:
             self._take_over(scene)
         deformed, scene.store.replaced = scene.store.replaced, {}
         scene.store.remember = True
+        self.ways.advance(scene, self._moving, deformed)
         self._fit(scene)
         self._update_positions(scene, deformed)
         moved = len(self._moving) > 0 or bool(deformed)

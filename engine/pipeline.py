@@ -219,6 +219,8 @@ class Pipeline(FramePasses):
             if frame.lit:
                 self.direct.record_emitters(graph, kernels_scene, scene.local_power)
         self.cache.grid.homes = scene.homes.struct(scene.instances)
+        if self._settings.cache.follow_shadows:
+            self.cache.grid.ways = self.motion.ways.array
         lean = scene.material_table.lean
         cells = {
             "minimum_cell": smallest_cell(self._settings.cache, scene.radius), "threshold": self.split.threshold,

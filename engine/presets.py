@@ -68,6 +68,7 @@ PRESETS: Mapping[Preset, Mapping[str, Any]] = MappingProxyType({
         "cache.cone_test": False,
         "cache.follow_mirrors": False,
         "cache.highlights": False,
+        "cache.follow_shadows": False,
         "direct_light.candidates": 4,
         "direct_light.temporal_reuse": 1,
         "direct_light.quarter_rate": False,

@@ -35,6 +35,7 @@ VARIANTS: Mapping[str, Mapping[str, Any] | Preset] = MappingProxyType({
     "no cone test": {"cache.cone_test": False},
     "no light over mirrors": {"cache.follow_mirrors": False},
     "no highlights in the cache": {"cache.highlights": False},
+    "shadows that lag in cells": {"cache.follow_shadows": False},
     "no paths that end in the cache": {"cache.ends_paths": False},
     "cells of 16 px": {"cache.cell_pixels": 16.0},
     "cells as wide as the first": {"cache.refine": False},

@@ -14,6 +14,7 @@ from .cache_rays import IDLE, UNWATCHED, Vertices, cell_seed, hit_place
 from .geometry_math import is_finite3
 from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell, is_mover
 from .intersect import MISS
+from .moved_ways import CROSSING, after_crossing, crosses_way, ways_count
 from .paths import Paths
 from .view import MOVED_FRAMES, View
 
@@ -100,6 +101,13 @@ def add_indirect(grid: HashGrid, cell: int, light: wp.vec3):
     if cell != NO_CELL:
         add_sample(grid.sums, 6 * cell + 3, light)
         wp.atomic_add(grid.counts, 2 * cell + 1, 1)
+
+
+@wp.func
+def mark_crossed(grid: HashGrid, cell: int):
+    """Note that a sample of a cell's indirect light has come through where something has moved."""
+    if cell != NO_CELL:
+        grid.crossed[2 * cell + 1] = 1
 
 
 @wp.func
@@ -194,6 +202,8 @@ def accumulate_light(
         light = paths.radiance[slot]
         if light[3] != UNWATCHED:
             add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
+            if light[3] == CROSSING:
+                grid_out.crossed[2 * cell] = 1
             wp.atomic_add(grid_out.counts, 2 * cell, 1)
     if slot < count:
         return
@@ -205,6 +215,11 @@ def accumulate_light(
     add_indirect(grid_out, source, sample)
     add_indirect(grid_out, vertices.around[slot - count], sample)
     add_indirect(grid_out, vertices.far[slot - count], sample)
+    if ways_count(grid_out.ways) > 0:
+        if crosses_way(grid_out.ways, paths.origin[slot], paths.direction[slot], paths.t[slot]):
+            mark_crossed(grid_out, source)
+            mark_crossed(grid_out, vertices.around[slot - count])
+            mark_crossed(grid_out, vertices.far[slot - count])
 
 
 @wp.kernel
@@ -330,6 +345,9 @@ def update_cells(
     if samples > 0:
         direct = blend(direct, grid_out.sums, 6 * cell, samples, cap, wp.vec3(1.0, 1.0, 1.0))
         grid_out.counts[2 * cell] = 0
+        if grid_out.crossed[2 * cell] == 1:
+            direct = after_crossing(direct)
+            grid_out.crossed[2 * cell] = 0
     if samples > 0 or age == 0.0:
         grid_out.direct[cell] = direct
     bounced = grid_out.counts[2 * cell + 1]
@@ -343,6 +361,9 @@ def update_cells(
             share = history_share(cap, age, bounced)
             indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, share, control_out.factors[1])
             grid_out.counts[2 * cell + 1] = 0
+            if grid_out.crossed[2 * cell + 1] == 1:
+                indirect = after_crossing(indirect)
+                grid_out.crossed[2 * cell + 1] = 0
         grid_out.indirect[cell] = indirect
     if samples > 0 or bounced > 0:
         for i in range(6):

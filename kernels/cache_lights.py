@@ -14,6 +14,7 @@ from .intersect import surface_point
 from .lamp_sample import LightSample
 from .light_linking import is_linked, kinds_lit
 from .lights import cell_side, sample_light
+from .moved_ways import shadow_mark
 from .packing import unpack_normal
 from .path_shading import set_shadow_ray
 from .paths import PENDING_NONE, PENDING_WORLD, Paths, has_hit, load_hit
@@ -80,16 +81,16 @@ def sampled_density(normal: wp.vec3, behind: float, weighed: int, s: LightSample
 
 @wp.func
 def send_to_light(
-    scene: Scene, world: wp.array[wp.vec3], point: ShadingPoint, s: LightSample, light: wp.vec3, paths: Paths,
-    slot: int,
+    scene: Scene, world: wp.array[wp.vec3], ways: wp.array[wp.vec3], point: ShadingPoint, s: LightSample,
+    light: wp.vec3, paths: Paths, slot: int,
 ):
-    """Set up the shadow ray of a hit's light sample, which carries so much light."""
+    """Set up the shadow ray of a hit's light sample, which carries so much light; `ways`: of HashGrid."""
     if is_finite3(light) and max_component(light) > 0.0:
         set_shadow_ray(scene, point, s, light, paths, slot)
         settle_world(scene, world, paths, slot)
         if paths.shadow_distance[slot] != 0.0:
-            # For count_rays.
-            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+            # For count_rays and accumulate_light.
+            paths.radiance[slot] = wp.vec4(0.0, 0.0, 0.0, shadow_mark(ways, paths, slot))
 
 
 @wp.kernel
@@ -138,7 +139,7 @@ def choose_cache_lights(
     if (kinds & VISIBLE_DIFFUSE) == 0:
         return
     density = sampled_density(normal, reflectance[3], grid.weighed, s)
-    send_to_light(scene, world, point, s, s.radiance * (density / s.pdf), paths_out, slot)
+    send_to_light(scene, world, grid.ways, point, s, s.radiance * (density / s.pdf), paths_out, slot)
     if paths_out.shadow_distance[slot] != 0.0 and shows_highlights(vertices_out):
         word = vertices_out.lobe[slot]
         if word != wp.uint64(0):

@@ -79,6 +79,8 @@ class HashGrid:
     """This frame's samples, 6 a slot (direct, indirect), in units of 1 / FIXED_ONE"""
     counts: wp.array[int]
     """This frame's samples, 2 a slot"""
+    crossed: wp.array[int]
+    """Of this frame's samples, 2 a slot; 1: one has come through `ways`"""
     live: wp.array[int]
     """[1] cells in use"""
     bucket_mask: int
@@ -99,6 +101,8 @@ class HashGrid:
     """1: bounce rays bring `indirect` a share of what triangles emit, samples of lights bring `direct` the rest"""
     homes: Homes
     """Of what has moved"""
+    ways: wp.array[wp.vec3]
+    """Where it has moved of late (moved_ways.crosses_way)"""
 
 
 @wp.func

@@ -105,4 +105,4 @@ def choose_reflection_lights(
     if not target > 0.0:
         return
     light = chosen.radiance * (total / (target * float(candidates)))
-    send_to_light(scene, world, point, chosen, light, paths_out, slot)
+    send_to_light(scene, world, grid.ways, point, chosen, light, paths_out, slot)

@@ -109,8 +109,8 @@ def shadow_chance(paths: Paths, vertices: Vertices, word: wp.uint64, missing: fl
 
 @wp.func
 def choose_light(
-    scene: Scene, world: wp.array[wp.vec3], hit: GlossyHit, word: wp.uint64, candidates: int, rays: ReflectionRays,
-    paths: Paths, vertices: Vertices, point: ShadingPoint, slot: int,
+    scene: Scene, world: wp.array[wp.vec3], ways: wp.array[wp.vec3], hit: GlossyHit, word: wp.uint64, candidates: int,
+    rays: ReflectionRays, paths: Paths, vertices: Vertices, point: ShadingPoint, slot: int,
 ):
     """Choose one of a hit's samples of light by what it makes of them, and set up its shadow ray."""
     seed = paths.seed[slot]
@@ -155,7 +155,7 @@ def choose_light(
         scale = scale / chance
     rays.highlight[slot] = kept.lobe / kept.matte
     light = chosen.radiance * (kept.matte * scale)
-    send_to_light(scene, world, point, chosen, light, paths, slot)
+    send_to_light(scene, world, ways, point, chosen, light, paths, slot)
 
 
 @wp.kernel(cuda_max_registers=168)
@@ -210,4 +210,4 @@ def choose_glossy_lights(
             hit.share = mean_component(lobe.albedo) / (mean_component(lobe.albedo) + total)
         elif hit.lit == 1:
             hit.share = wp.min(mean_component(lobe.albedo) / total, 1.0)
-    choose_light(scene, world, hit, word, candidates, rays_out, paths_out, vertices_out, point, slot)
+    choose_light(scene, world, grid.ways, hit, word, candidates, rays_out, paths_out, vertices_out, point, slot)

@@ -82,6 +82,7 @@ class BURNISH_RENDER_PT_cache_method(RealtimePanel, Panel):
         layout.prop(cache, "cone_test")
         layout.prop(cache, "follow_mirrors")
         layout.prop(cache, "highlights")
+        layout.prop(cache, "follow_shadows")
         layout.prop(cache, "ends_paths")
 
 

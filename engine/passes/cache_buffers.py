@@ -71,6 +71,7 @@ BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried
 CELL_ARRAYS = {
     "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
     "touched": (int, 1), "linked": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
+    "crossed": (int, 2),
 }
 """Type and entries a cell"""
 
@@ -88,6 +89,7 @@ def make_grid(settings: CacheSettings, device: str) -> HashGrid:
     for name, (dtype, entries) in CELL_ARRAYS.items():
         setattr(grid, name, wp.zeros(capacity * entries, dtype=dtype, device=device))
     grid.live = wp.zeros(1, dtype=int, device=device)
+    grid.ways = wp.zeros(1, dtype=wp.vec3, device=device)
     grid.bucket_mask = capacity // int(BUCKET) - 1
     grid.pixels = settings.cell_pixels
     grid.minimum = settings.minimum_cell

@@ -71,10 +71,10 @@ class Rig:
         """Return whether lights may be programs for the cache."""
         return self.scene.has_hit_programs if self.texels else self.scene.has_light_programs
 
-    def frame(self, origin, direction, t_max=1e18, lit=False):
+    def frame(self, origin, direction, t_max=1e18, lit=False, moved=False):
         """Render a frame and return the answers, [count, 4]."""
         self.views.advance(
-            self.row, moved=False, lit=lit, exposure=1.0, transparent=False, filter_quantiles=None)
+            self.row, moved=moved, lit=lit, exposure=1.0, transparent=False, filter_quantiles=None)
         self.rays.origin.assign(np.asarray(origin, np.float32))
         self.rays.direction.assign(np.asarray(direction, np.float32))
         self.rays.t_max.assign(np.broadcast_to(np.float32(t_max), self.count).astype(np.float32))
