@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Hashable
 
 import numpy as np
 import warp as wp
@@ -18,6 +18,12 @@ __all__ = ["MovedWays"]
 FRAMES = 16
 """Frames for which a way is remembered: most cells that rays meet have got a sample by then"""
 
+JUMP = 2.0
+"""By how much of its size something may be elsewhere in the next frame for both places to count as one way"""
+
+Boxes = tuple[np.ndarray, np.ndarray]
+"""Lower and upper corners, float [N, 3] each"""
+
 
 class MovedWays:
     """The ways of the last FRAMES frames; nothing is written while nothing has moved in them."""
@@ -26,8 +32,10 @@ class MovedWays:
         self.array = wp.zeros(1 + 2 * int(WAYS), dtype=wp.vec3, device=device)
         """Number of boxes, then the lower and the upper corner of each [m, scene space]"""
         self._writer = RowWriter(wp.vec3, device)
-        self._recent: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=FRAMES)
-        """Boxes of each frame, at most WAYS"""
+        self._recent: deque[list[tuple[Hashable, np.ndarray, np.ndarray]]] = deque(maxlen=FRAMES)
+        """What was added in each frame, at most 2 * WAYS: whose way it belongs to, lower and upper corner"""
+        self._jumps: dict[Hashable, int] = {}
+        """Of things that have moved: each jump begins another way"""
         self._rows: np.ndarray | None = None
         self._keys: list = []
         self._origin = np.zeros(3)
@@ -45,12 +53,12 @@ class MovedWays:
         if deformed:
             meshes = np.array([key in deformed for key in scene.table.mesh_keys], bool)
             moving = np.union1d(moving, np.flatnonzero(meshes[scene.table.mesh_index]))
-        if scene.rows is self._rows:
-            boxes = [(self._low[moving], self._high[moving])]
-            self._low[moving], self._high[moving] = now = _bounds(scene, moving)
-            self._add([np.minimum(boxes[0][0], now[0])], [np.maximum(boxes[0][1], now[1])])
-        else:
+        if scene.rows is not self._rows:
             self._take_over(scene, moving)
+            return
+        before, now = (self._low[moving], self._high[moving]), _bounds(scene, moving)
+        self._low[moving], self._high[moving] = now
+        self._add([self._keys[row] for row in moving], before, now)
 
     def _take_over(self, scene: DeviceScene, moving: np.ndarray) -> None:
         """Go on with other instances, some of which are known by their keys."""
@@ -62,50 +70,79 @@ class MovedWays:
         else:
             places = {key: i for i, key in enumerate(self._keys)}
             there = np.array([places.pop(key, -1) for key in keys], np.int64)
-            new = np.flatnonzero(there < 0)
-            moved, gone = np.setdiff1d(moving, new), np.array([*places.values()], np.int64)
-            before = there[moved]
-            self._add([np.minimum(low[moved], self._low[before]), low[new], self._low[gone]],
-                      [np.maximum(high[moved], self._high[before]), high[new], self._high[gone]])
+            new, gone = np.flatnonzero(there < 0), list(places.values())
+            moved = np.setdiff1d(moving, new)
+            nothing = np.full((len(new), 3), np.inf), np.full((len(gone), 3), np.inf)
+            corners = [np.concatenate(parts) for parts in (
+                (self._low[there[moved]], nothing[0], self._low[gone]),
+                (self._high[there[moved]], -nothing[0], self._high[gone]),
+                (low[moved], low[new], nothing[1]), (high[moved], high[new], -nothing[1]))]
+            self._add([*(keys[i] for i in (*moved, *new)), *places], corners[:2], corners[2:])
         self._rows, self._keys, self._origin = scene.rows, keys, scene.origin.copy()
         self._low, self._high = low, high
 
-    def _add(self, lows: list[np.ndarray], highs: list[np.ndarray]) -> None:
-        """Take in the boxes of a frame."""
-        low, high = np.concatenate(lows), np.concatenate(highs)
-        drawn = (low <= high).all(1)
-        if not drawn.any() and not self._recent:
+    def _add(self, keys: list, before: Boxes, now: Boxes) -> None:
+        """Take in where things were in the frame before and where they are."""
+        if len(keys) == 0 and not self._recent:
             return
-        self._recent.append(_few(low[drawn], high[drawn]))
-        if not any(len(corners) for corners, _ in self._recent):
+        added = []
+        if len(keys) > int(WAYS):
+            # Too many to follow one by one.
+            low, high = _few(*_drawn(np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))))
+            added = [(i, *box) for i, box in enumerate(zip(low, high, strict=True))]
+        else:
+            for key, *boxes in zip(keys, *before, *now, strict=True):
+                added += self._steps(key, *boxes)
+        self._recent.append(added)
+        if not any(self._recent):
             self._recent.clear()
+            self._jumps = {}
         self._write()
 
+    def _steps(
+        self, key: Hashable, low: np.ndarray, high: np.ndarray, new_low: np.ndarray, new_high: np.ndarray,
+    ) -> list[tuple[Hashable, np.ndarray, np.ndarray]]:
+        """Return a thing's box in the frame before and in this one, and whose way each belongs to."""
+        jump = self._jumps.setdefault(key, 0)
+        steps = [((key, jump), low, high)]
+        apart = np.maximum(new_low - high, low - new_high)
+        if not (apart <= JUMP * (high - low)).all():
+            self._jumps[key] = jump = jump + 1
+        steps.append(((key, jump), new_low, new_high))
+        return [step for step in steps if (step[1] <= step[2]).all()]
+
     def _write(self) -> None:
-        """Tell the device of the boxes of all recent frames: the n-th ones of each are one."""
+        """Tell the device of the ways of all recent frames."""
+        ways: dict[Hashable, Boxes] = {}
+        for added in self._recent:
+            for way, low, high in added:
+                known = ways.get(way, (low, high))
+                ways[way] = np.minimum(low, known[0]), np.maximum(high, known[1])
         values = np.zeros((1 + 2 * int(WAYS), 3), np.float32)
-        count = max((len(low) for low, _ in self._recent), default=0)
-        values[0, 0] = count
-        lows, highs = values[1::2], values[2::2]
-        lows[:count], highs[:count] = np.inf, -np.inf
-        for low, high in self._recent:
-            np.minimum(lows[: len(low)], low, out=lows[: len(low)])
-            np.maximum(highs[: len(high)], high, out=highs[: len(high)])
+        if ways:
+            low, high = _few(*(np.array(corners) for corners in zip(*ways.values(), strict=True)))
+            values[0, 0] = len(low)
+            values[1 : 1 + 2 * len(low) : 2], values[2 : 2 + 2 * len(low) : 2] = low, high
         self._writer.write(self.array, values, np.arange(len(values)))
 
 
-def _bounds(scene: DeviceScene, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners [N, 3] of instances' bounds, inside out of those that are not drawn."""
+def _bounds(scene: DeviceScene, rows: np.ndarray) -> Boxes:
+    """Return the bounds of instances, inside out of those that are not drawn."""
     drawn = scene.drawn[rows, None]
     return np.where(drawn, scene.low[rows], np.inf), np.where(drawn, scene.high[rows], -np.inf)
 
 
-def _few(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _drawn(low: np.ndarray, high: np.ndarray) -> Boxes:
+    """Return the boxes that are not inside out."""
+    drawn = (low <= high).all(1)
+    return low[drawn], high[drawn]
+
+
+def _few(low: np.ndarray, high: np.ndarray) -> Boxes:
     """Return at most WAYS boxes around all: of neighbours along the axis on which they are spread most."""
     if len(low) <= int(WAYS):
-        return low.astype(np.float32), high.astype(np.float32)
+        return low, high
     center = low + high
     order = np.argsort(center[:, np.ptp(center, axis=0).argmax()], kind="stable")
     starts = np.arange(int(WAYS)) * len(order) // int(WAYS)
-    return (np.minimum.reduceat(low[order], starts).astype(np.float32),
-            np.maximum.reduceat(high[order], starts).astype(np.float32))
+    return np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)

@@ -333,7 +333,8 @@ class Pipeline(FramePasses):
                 self.hair.record_means(graph, parity, views, surfaces, frame.reprojection, self.cache.grid)
         indirect = self.probes.record_light(
             graph, views, surfaces, self.composite.color.previous(parity), frame.reprojection, parity,
-            self.diffuse_denoise.history.previous(parity), self.cache.rays.mirrors.struct.state)
+            self.diffuse_denoise.history.previous(parity), self.cache.rays.mirrors.struct.state,
+            self.cache.grid.ways)
         for each in frame.traced:
             if each.asks_probes:
                 with graph.branch(each.name):

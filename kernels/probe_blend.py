@@ -14,6 +14,7 @@ import warp as wp
 from .cache_mirrors import FOLLOWED_MOVED
 from .geometry_math import is_finite3, luminance
 from .lane_groups import group_sum
+from .moved_ways import crosses_way, ways_count
 from .packing import HALF_MAX, from_half, rgb, rgba
 from .probe_rays import ProbeRays, distance_of, inverse_distance
 from .probe_types import CELLS, NO_CELL, ProbeGrid, ProbePool, ProbeUpdates
@@ -32,6 +33,10 @@ CHANGE_RANGE = wp.constant(2.0)
 # of one with a smaller share as many more. Such a probe waits for no turn (probe_turns.SETTLED_COUNT).
 MIRROR_UPDATES = wp.constant(1.0)
 MIRROR_SHARE = wp.constant(0.1)
+
+# Updates that count of a probe all of whose rays go through where something has moved of late; of one with a share of
+# such rays as many more.
+WAY_UPDATES = wp.constant(1.0)
 
 # Relative change below which nothing is forgotten.
 CHANGE_LEAST = wp.constant(0.1)
@@ -130,6 +135,28 @@ def updates_over_mirrors(over: wp.vec3, known: float) -> float:
     return MIRROR_UPDATES * wp.max(MIRROR_SHARE / wp.max(share, 1.0e-6), 1.0)
 
 
+@wp.func
+def updates_through_ways(
+    ways: wp.array[wp.vec3], updates: ProbeUpdates, rays: ProbeRays, update: int, lane: int, lanes: int,
+) -> float:
+    """Return how many updates count of a probe by its rays through where something has moved, to all lanes alike."""
+    through = float(0.0)
+    total = float(0.0)
+    i = lane
+    while i < CELLS:
+        ray = update * CELLS + i
+        cell = int(updates.cell[ray])
+        if cell != NO_CELL:
+            weight = 1.0 / updates.expected[update * CELLS + cell]
+            total = total + weight
+            if crosses_way(ways, rays.origin[ray], rays.direction[ray], rays.radiance[ray][3]):
+                through = through + weight
+        i = i + lanes
+    through = group_sum(through, lanes)
+    total = group_sum(total, lanes)
+    return WAY_UPDATES * total / wp.max(through, 1.0e-6 * total)
+
+
 @wp.kernel
 def detect_changes(
     first: int,
@@ -138,6 +165,7 @@ def detect_changes(
     views: wp.array[View],
     rays: ProbeRays,
     mirrored: wp.array[int],
+    ways: wp.array[wp.vec3],
     lanes: int,
     # Out:
     updates_out: ProbeUpdates,
@@ -149,8 +177,9 @@ def detect_changes(
     changes; their sum is judged by the root of the sum of their squares, or of the sum's own square in updates before
     where that is more: rays that all miss a small light are no change where that happens now and then. One bright ray
     never is. A mirror that moves throws other light from frame to frame, which single rays bring with more noise than
-    change: probes whose rays go over one remember little (`mirrored`: Mirrors.state of the rays). `lanes` threads
-    share an update (lane_groups.py).
+    change: probes whose rays go over one remember little (`mirrored`: Mirrors.state of the rays). So do those whose
+    rays go through where something has moved (`ways`: see moved_ways.py). `lanes` threads share an update
+    (lane_groups.py).
     """
     update = (first + wp.tid()) // lanes
     lane = (first + wp.tid()) % lanes
@@ -192,11 +221,13 @@ def detect_changes(
     known = group_sum(known, lanes)
     if moving:
         over = wp.vec3(group_sum(over[0], lanes), group_sum(over[1], lanes), group_sum(over[2], lanes))
+    if ways_count(ways) > 0:
+        count = wp.min(count, updates_through_ways(ways, updates_out, rays, update, lane, lanes))
     if lane > 0:
         return
     if moving:
         count = wp.min(count, updates_over_mirrors(over, known))
-        updates_out.count[update] = count
+    updates_out.count[update] = count
     updates_out.change[update] = 1.0
     noise = pool_out.noise[slot]
     if updates_out.fresh[update] == 1:

@@ -190,20 +190,22 @@ class ScreenProbePass:
     def record_light(
         self, graph: FrameGraph, views: wp.array, gbuffer: GBuffer,
         previous_color: wp.array, reprojection: Reprojection, parity: int = 0, known: DiffuseHistory | None = None,
-        mirrored: wp.array | None = None,
+        mirrored: wp.array | None = None, ways: wp.array | None = None,
     ) -> wp.array:
         """Record putting the rays' answers into the probes; returns the diffuse light of each pixel.
 
         vec4h per pixel: exposed irradiance / pi at the shading normal, and confidence 0..1 or KEPT
         (probe_interpolate.py); `specular_ratio` is what reflections get of it. With means of the frame before (`known`)
-        pixels for which these do may leave turns out. `mirrored`: Mirrors.state of the rays.
+        pixels for which these do may leave turns out. `mirrored`: Mirrors.state of the rays; `ways`: where things have
+        moved of late (MovedWays.array).
         """
         grid, pool, tiles, updates = self.grid, self.pool, self.tiles, self.updates
         with graph.section("Probe blending"):
             mirrored = wp.empty(0, dtype=int, device=self.device) if mirrored is None else mirrored
+            ways = wp.empty(0, dtype=wp.vec3, device=self.device) if ways is None else ways
             with graph.slots(0, self.update_count * CELLS, len(mirrored)):
                 graph.launch(probe_blend.detect_changes, graph.lanes * self.update_count,
-                             [grid, views, self.rays, mirrored, graph.lanes], [updates, pool])
+                             [grid, views, self.rays, mirrored, ways, graph.lanes], [updates, pool])
             graph.launch(probe_blend.blend_rays, self.update_count * CELLS, [grid, views, updates, self.rays], [pool])
             graph.launch(probe_light.find_neighbors, self.update_count * 9, [grid, views, tiles, pool], [updates])
             graph.launch(probe_light.smooth_probes, self.update_count * CELLS, [grid, views, pool], [updates])

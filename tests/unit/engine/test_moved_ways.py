@@ -66,13 +66,23 @@ def test_ways_are_told_and_forgotten():
     low, high = moving.move({4: (0.0, 1.0, 0.0)})
     assert len(low) == 1 and holds(low, high, (12.0, 0.0, 0.0)) and holds(low, high, (12.0, 1.0, 0.0))
     assert not holds(low, high, (15.0, 0.0, 0.0))
-    low, high = moving.move({4: (0.0, 1.0, 0.0), 9: (0.0, 0.0, 2.0)})
-    assert len(low) == 2 and holds(low, high, (12.0, 0.0, 0.0)) and holds(low, high, (27.0, 0.0, 2.0))
+    low, high = moving.move({4: (0.0, 1.0, 0.0), 9: (0.0, 0.0, 0.5)})
+    assert len(low) == 2 and holds(low, high, (12.0, 0.0, 0.0)) and holds(low, high, (27.0, 0.0, 0.5))
     for _ in range(FRAMES - 2):
         low, high = moving.frame()
         assert holds(low, high, (12.0, 0.0, 0.0))
     assert not holds(*moving.frame(), (12.0, 0.0, 0.0))
     assert len(moving.frame()[0]) == 0
+
+
+def test_jumps_begin_anew():
+    """Hold both places of a thing that is suddenly far away, and nothing in between, also when it goes on there."""
+    moving = Moving()
+    moving.move({4: (0.0, 0.5, 0.0)})
+    moving.move({4: (0.0, 100.0, 0.0)})
+    low, high = moving.move({4: (0.0, 0.5, 0.0)})
+    assert len(low) == 2 and (high - low).max() < 4.0
+    assert holds(low, high, (12.0, 0.5, 0.0)) and holds(low, high, (12.0, 101.0, 0.0))
 
 
 def test_many_things_share_boxes():
