@@ -197,8 +197,8 @@ class CacheSettings:
         True, "Let light of lamps, suns and skies come over glossy surfaces as they reflect it, for little time. Off: "
         "they throw it back on all sides, and what they shine at is dark")
     follow_shadows: bool = setting(
-        True, "Let cells forget sooner where light passes what has moved of late, at no cost while nothing moves: its "
-        "shadow in mirrors and in indirect light goes along, with some noise. Off: it lags by tens of frames")
+        True, "Let cells and probes forget sooner where light passes what has moved of late, at no cost while nothing "
+        "does: its shadow in mirrors and in indirect light goes along, with some noise. Off: it lags by tens of frames")
     ends_paths: bool = setting(
         True, "Let path-traced samples end in the cache after two bounces: less noise in the same time. From the 64th "
         "on ever fewer do, so that the limit stays path tracing's. None do where bounces are limited to fewer than 24")

@@ -14,7 +14,7 @@ from .cache_rays import IDLE, UNWATCHED, Vertices, cell_seed, hit_place
 from .geometry_math import is_finite3
 from .hash_grid import EMPTY, NO_CELL, HashGrid, insert_cell, is_mover
 from .intersect import MISS
-from .moved_ways import CROSSING, after_crossing, crosses_way, ways_count
+from .moved_ways import CROSSING, crosses_way, way_cap, way_share, ways_count
 from .paths import Paths
 from .view import MOVED_FRAMES, View
 
@@ -104,10 +104,24 @@ def add_indirect(grid: HashGrid, cell: int, light: wp.vec3):
 
 
 @wp.func
-def mark_crossed(grid: HashGrid, cell: int):
-    """Note that a sample of a cell's indirect light has come through where something has moved."""
+def count_crossing(grid: HashGrid, cell: int):
+    """Count a sample of a cell's indirect light that came through where something has moved; atomic."""
     if cell != NO_CELL:
-        grid.crossed[2 * cell + 1] = 1
+        wp.atomic_add(grid.crossing, 2 * cell + 1, 1)
+
+
+@wp.func
+def limit_by_ways(grid: HashGrid, which: int, samples: int, cap: float) -> float:
+    """Return how many samples a cell's light may weigh, and take in how many of this frame's came through the ways.
+
+    `which`: twice the cell, one more for indirect light.
+    """
+    if ways_count(grid.ways) == 0:
+        return cap
+    share = grid.way_share[which]
+    grid.way_share[which] = way_share(share, grid.crossing[which], samples)
+    grid.crossing[which] = 0
+    return wp.min(cap, way_cap(share))
 
 
 @wp.func
@@ -203,7 +217,7 @@ def accumulate_light(
         if light[3] != UNWATCHED:
             add_sample(grid_out.sums, 6 * cell, wp.vec3(light[0], light[1], light[2]))
             if light[3] == CROSSING:
-                grid_out.crossed[2 * cell] = 1
+                wp.atomic_add(grid_out.crossing, 2 * cell, 1)
             wp.atomic_add(grid_out.counts, 2 * cell, 1)
     if slot < count:
         return
@@ -217,9 +231,9 @@ def accumulate_light(
     add_indirect(grid_out, vertices.far[slot - count], sample)
     if ways_count(grid_out.ways) > 0:
         if crosses_way(grid_out.ways, paths.origin[slot], paths.direction[slot], paths.t[slot]):
-            mark_crossed(grid_out, source)
-            mark_crossed(grid_out, vertices.around[slot - count])
-            mark_crossed(grid_out, vertices.far[slot - count])
+            count_crossing(grid_out, source)
+            count_crossing(grid_out, vertices.around[slot - count])
+            count_crossing(grid_out, vertices.far[slot - count])
 
 
 @wp.kernel
@@ -343,11 +357,9 @@ def update_cells(
         direct[3] = 0.0
     samples = grid_out.counts[2 * cell]
     if samples > 0:
-        direct = blend(direct, grid_out.sums, 6 * cell, samples, cap, wp.vec3(1.0, 1.0, 1.0))
+        limit = limit_by_ways(grid_out, 2 * cell, samples, cap)
+        direct = blend(direct, grid_out.sums, 6 * cell, samples, limit, wp.vec3(1.0, 1.0, 1.0))
         grid_out.counts[2 * cell] = 0
-        if grid_out.crossed[2 * cell] == 1:
-            direct = after_crossing(direct)
-            grid_out.crossed[2 * cell] = 0
     if samples > 0 or age == 0.0:
         grid_out.direct[cell] = direct
     bounced = grid_out.counts[2 * cell + 1]
@@ -358,12 +370,9 @@ def update_cells(
         else:
             indirect = aged(indirect, age)
         if bounced > 0:
-            share = history_share(cap, age, bounced)
+            share = history_share(limit_by_ways(grid_out, 2 * cell + 1, bounced, cap), age, bounced)
             indirect = blend(indirect, grid_out.sums, 6 * cell + 3, bounced, share, control_out.factors[1])
             grid_out.counts[2 * cell + 1] = 0
-            if grid_out.crossed[2 * cell + 1] == 1:
-                indirect = after_crossing(indirect)
-                grid_out.crossed[2 * cell + 1] = 0
         grid_out.indirect[cell] = indirect
     if samples > 0 or bounced > 0:
         for i in range(6):

@@ -79,8 +79,10 @@ class HashGrid:
     """This frame's samples, 6 a slot (direct, indirect), in units of 1 / FIXED_ONE"""
     counts: wp.array[int]
     """This frame's samples, 2 a slot"""
-    crossed: wp.array[int]
-    """Of this frame's samples, 2 a slot; 1: one has come through `ways`"""
+    crossing: wp.array[int]
+    """This frame's samples that came through `ways`, 2 a slot"""
+    way_share: wp.array[float]
+    """Their mean share, 2 a slot; of before where there are no ways"""
     live: wp.array[int]
     """[1] cells in use"""
     bucket_mask: int

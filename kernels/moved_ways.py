@@ -21,12 +21,14 @@ WAYS = wp.constant(8)
 SHADOWED = wp.constant(1.0)
 CROSSING = wp.constant(2.0)
 
-# What is left of a cell's samples after a frame with one whose way goes through a box. It is taken off after them:
-# before, they would weigh more than others, and what they bring is other light. So a mean of dark ones among bright
-# ones is up to 4 % bright while things move, as it is short just after a dark one.
-CROSSED_SHARE = wp.constant(0.25)
-# So many are kept nevertheless: with fewer than CELL_SAMPLES (reflection_resolve.py) mirrors show hits' own light.
-CROSSED_SAMPLES = wp.constant(4.0)
+# Samples that a cell's light may weigh if all of them come through a box; if a share of them does, as many more. The
+# past weighs least just after samples through a box: if all of those were black and all others bright, means would be
+# up to 5 % bright. Boxes of sixteen frames are seldom black.
+WAY_SAMPLES = wp.constant(1.5)
+# So many may weigh nevertheless: with fewer than CELL_SAMPLES (reflection_resolve.py) mirrors show hits' own light.
+WAY_SAMPLES_MIN = wp.constant(4.0)
+# Samples over which that share is averaged.
+SHARE_SAMPLES = wp.constant(3.0)
 
 LEAST_SLOPE = wp.constant(1.0e-12)
 
@@ -85,6 +87,13 @@ def shadow_mark(ways: wp.array[wp.vec3], paths: Paths, slot: int) -> float:
 
 
 @wp.func
-def after_crossing(light: wp.vec4) -> wp.vec4:
-    """Return a cell's light, samples in w, after a frame in which one of them came through a box."""
-    return wp.vec4(light[0], light[1], light[2], wp.max(light[3] * CROSSED_SHARE, wp.min(light[3], CROSSED_SAMPLES)))
+def way_cap(share: float) -> float:
+    """Return how many samples a cell's light may weigh, by the share of them that comes through a box."""
+    return wp.max(WAY_SAMPLES / wp.max(share, 1.0e-6), WAY_SAMPLES_MIN)
+
+
+@wp.func
+def way_share(share: float, crossing: int, samples: int) -> float:
+    """Return the mean share after a frame in which so many of a cell's samples came through a box."""
+    now = wp.min(float(crossing) / float(samples), 1.0)
+    return share + (now - share) * float(samples) / (float(samples) + SHARE_SAMPLES)

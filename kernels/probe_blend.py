@@ -36,7 +36,8 @@ MIRROR_SHARE = wp.constant(0.1)
 
 # Updates that count of a probe all of whose rays go through where something has moved of late; of one with a share of
 # such rays as many more.
-WAY_UPDATES = wp.constant(1.0)
+WAY_UPDATES = wp.constant(2.0)
+UPDATES_MAX = wp.constant(1.0e6)
 
 # Relative change below which nothing is forgotten.
 CHANGE_LEAST = wp.constant(0.1)
@@ -140,6 +141,8 @@ def updates_through_ways(
     ways: wp.array[wp.vec3], updates: ProbeUpdates, rays: ProbeRays, update: int, lane: int, lanes: int,
 ) -> float:
     """Return how many updates count of a probe by its rays through where something has moved, to all lanes alike."""
+    if ways_count(ways) == 0:
+        return UPDATES_MAX
     through = float(0.0)
     total = float(0.0)
     i = lane
@@ -154,7 +157,9 @@ def updates_through_ways(
         i = i + lanes
     through = group_sum(through, lanes)
     total = group_sum(total, lanes)
-    return WAY_UPDATES * total / wp.max(through, 1.0e-6 * total)
+    if not through > 0.0:
+        return UPDATES_MAX
+    return WAY_UPDATES * total / through
 
 
 @wp.kernel
@@ -177,9 +182,8 @@ def detect_changes(
     changes; their sum is judged by the root of the sum of their squares, or of the sum's own square in updates before
     where that is more: rays that all miss a small light are no change where that happens now and then. One bright ray
     never is. A mirror that moves throws other light from frame to frame, which single rays bring with more noise than
-    change: probes whose rays go over one remember little (`mirrored`: Mirrors.state of the rays). So do those whose
-    rays go through where something has moved (`ways`: see moved_ways.py). `lanes` threads share an update
-    (lane_groups.py).
+    change: probes with rays over one (`mirrored`: Mirrors.state) or through `ways` (moved_ways.py) remember little.
+    `lanes` threads share an update (lane_groups.py).
     """
     update = (first + wp.tid()) // lanes
     lane = (first + wp.tid()) % lanes
@@ -221,12 +225,10 @@ def detect_changes(
     known = group_sum(known, lanes)
     if moving:
         over = wp.vec3(group_sum(over[0], lanes), group_sum(over[1], lanes), group_sum(over[2], lanes))
-    if ways_count(ways) > 0:
-        count = wp.min(count, updates_through_ways(ways, updates_out, rays, update, lane, lanes))
+        count = wp.min(count, updates_over_mirrors(over, known))
+    count = wp.min(count, updates_through_ways(ways, updates_out, rays, update, lane, lanes))
     if lane > 0:
         return
-    if moving:
-        count = wp.min(count, updates_over_mirrors(over, known))
     updates_out.count[update] = count
     updates_out.change[update] = 1.0
     noise = pool_out.noise[slot]

@@ -71,7 +71,7 @@ BOUNCE_ARRAYS = {"source": int, "coarse": wp.int64, "arrived": wp.vec3, "carried
 CELL_ARRAYS = {
     "keys": (wp.int64, 1), "direct": (wp.vec4, 1), "indirect": (wp.vec4, 1), "spread": (wp.vec4, 1),
     "touched": (int, 1), "linked": (int, 1), "sums": (wp.int64, 6), "counts": (int, 2),
-    "crossed": (int, 2),
+    "crossing": (int, 2), "way_share": (float, 2),
 }
 """Type and entries a cell"""
 

@@ -6,7 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from burnish.kernels.moved_ways import CROSSED_SAMPLES, CROSSED_SHARE, WAYS, after_crossing, crosses_way
+from burnish.kernels.moved_ways import WAY_SAMPLES, WAY_SAMPLES_MIN, WAYS, crosses_way, way_cap, way_share
+from burnish.kernels.probe_blend import UPDATES_MAX, WAY_UPDATES, updates_through_ways
+from burnish.kernels.probe_rays import ProbeRays
+from burnish.kernels.probe_types import CELLS, NO_CELL, ProbeUpdates
 
 from tests.device import DEVICE
 
@@ -29,14 +32,38 @@ def tell_crossings(
 
 
 @wp.kernel
-def forget(
+def average(
     # In:
-    light: wp.array[wp.vec4],
+    through: wp.array2d[int],
     # Out:
-    light_out: wp.array[wp.vec4],
+    share_out: wp.array[float],
+    mean_out: wp.array2d[float],
+    length_out: wp.array2d[float],
 ):
+    """Average samples as cells do: 0 through a box, 1 beside it, one a frame; before all were 1."""
     i = wp.tid()
-    light_out[i] = after_crossing(light[i])
+    mean = float(1.0)
+    known = float(64.0)
+    for frame in range(through.shape[1]):
+        before = wp.min(known, way_cap(share_out[i]))
+        mean = mean + (1.0 - float(through[i, frame]) - mean) / (before + 1.0)
+        known = before + 1.0
+        share_out[i] = way_share(share_out[i], through[i, frame], 1)
+        mean_out[i, frame] = mean
+        length_out[i, frame] = known
+
+
+@wp.kernel
+def count_updates(
+    # In:
+    ways: wp.array[wp.vec3],
+    updates: ProbeUpdates,
+    rays: ProbeRays,
+    # Out:
+    count_out: wp.array[float],
+):
+    update = wp.tid()
+    count_out[update] = updates_through_ways(ways, updates, rays, update, 0, 1)
 
 
 def crossing(ways, origin, direction, distance):
@@ -80,22 +107,51 @@ def test_no_array_is_no_box():
     assert not crossing(np.zeros((0, 3)), origin, np.eye(3)[[0, 1, 2, 0]], 1e18).any()
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
-def test_means_stay_near(share):
-    """Forget without taking those samples for much more or less than they are: 0 through the box, 1 beside it."""
-    rng = np.random.default_rng(7)
-    held, means, lengths = np.full((COUNT, 4), 0.5, np.float32), [], []
-    held[:, 3] = 64.0
-    for frame in range(150):
-        through = rng.random(COUNT) < share
-        before = np.minimum(held[:, 3], 64.0)
-        held[:, :3] += (np.where(through, 0.0, 1.0)[:, None] - held[:, :3]) / (before + 1.0)[:, None]
-        held[:, 3] = before + 1.0
-        less = wp.zeros(COUNT, dtype=wp.vec4, device=DEVICE)
-        wp.launch(forget, COUNT, [wp.array(held, dtype=wp.vec4, device=DEVICE)], [less], device=DEVICE)
-        held = np.where(through[:, None], less.numpy(), held)
-        if frame >= 100:
-            means.append(held[:, 0].mean())
-            lengths.append(held[:, 3].mean())
-    assert np.mean(means) == pytest.approx(1.0 - share, rel=0.045, abs=1e-3)
-    assert np.mean(lengths) < 2.0 / (share * (1.0 - float(CROSSED_SHARE))) + float(CROSSED_SAMPLES)
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
+def test_means_are_short(share):
+    """Remember as many samples as a share says, and take those through boxes for little less than they are."""
+    frames = 150
+    through = np.random.default_rng(7).random((COUNT, frames)) < share
+    shares = wp.zeros(COUNT, dtype=float, device=DEVICE)
+    mean, length = (wp.zeros((COUNT, frames), dtype=float, device=DEVICE) for _ in range(2))
+    wp.launch(average, COUNT, [wp.array(through.astype(np.int32), dtype=int, device=DEVICE)], [shares, mean, length],
+              device=DEVICE)
+    late = mean.numpy()[:, 100:].mean()
+    assert late == pytest.approx(1.0 - share, rel=0.05, abs=1e-3)
+    most = max(float(WAY_SAMPLES) / share, float(WAY_SAMPLES_MIN)) + 1.0 if share > 0.0 else np.inf
+    assert 0.8 * min(most, 60.0) < length.numpy()[:, 100:].mean() < 1.7 * most
+    if share == 1.0:
+        # Most of what was before is gone soon.
+        assert mean.numpy()[:, 8].mean() < 0.2
+
+
+def test_probes_remember_by_the_share_of_their_rays():
+    """Let as many updates count as the rays through boxes allow, weighed by what each stands for; without any all."""
+    rng, count, cells = np.random.default_rng(3), 40, int(CELLS)
+    direction = rng.normal(size=(count * cells, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = np.zeros_like(direction)
+    ways = np.zeros((3, 3))
+    ways[:] = (1.0, 0.0, 0.0), (0.2, -0.4, -0.4), (1.0, 0.4, 0.4)
+    updates, rays = ProbeUpdates(), ProbeRays()
+    cell = rng.integers(0, cells, count * cells)
+    cell[rng.random(len(cell)) < 0.2] = int(NO_CELL)
+    expected = rng.uniform(0.5, 2.0, count * cells)
+    answers = np.full((count * cells, 4), 5.0)
+    # Rays that end before the box.
+    answers[::7, 3] = 0.1
+    updates.cell = wp.array(cell.astype(np.uint8), dtype=wp.uint8, device=DEVICE)
+    updates.expected = wp.array(expected, dtype=float, device=DEVICE)
+    rays.origin, rays.direction = (wp.array(v, dtype=wp.vec3, device=DEVICE) for v in (origin, direction))
+    rays.radiance = wp.array(answers, dtype=wp.vec4, device=DEVICE)
+    found = wp.zeros(count, dtype=float, device=DEVICE)
+    weight = np.where(cell == int(NO_CELL), 0.0, 1.0 / expected.reshape(count, cells)[
+        np.arange(count).repeat(cells), np.minimum(cell, cells - 1)]).reshape(count, cells)
+    through = crossing(ways, origin, direction, 5.0).reshape(count, cells) & (answers[:, 3] > 0.3).reshape(count, cells)
+    wp.launch(count_updates, count, [wp.array(ways, dtype=wp.vec3, device=DEVICE), updates, rays], [found],
+              device=DEVICE)
+    due = float(WAY_UPDATES) * weight.sum(1) / (weight * through).sum(1)
+    np.testing.assert_allclose(found.numpy(), due, rtol=1e-4)
+    assert 4.0 < np.median(due) < 20.0
+    wp.launch(count_updates, count, [wp.zeros(3, dtype=wp.vec3, device=DEVICE), updates, rays], [found], device=DEVICE)
+    assert (found.numpy() == float(UPDATES_MAX)).all()
