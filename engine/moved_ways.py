@@ -32,10 +32,10 @@ class MovedWays:
         self.array = wp.zeros(1 + 2 * int(WAYS), dtype=wp.vec3, device=device)
         """Number of boxes, then the lower and the upper corner of each [m, scene space]"""
         self._writer = RowWriter(wp.vec3, device)
-        self._recent: deque[list[tuple[Hashable, np.ndarray, np.ndarray]]] = deque(maxlen=FRAMES)
-        """What was added in each frame, at most 2 * WAYS: whose way it belongs to, lower and upper corner"""
-        self._jumps: dict[Hashable, int] = {}
-        """Of things that have moved: each jump begins another way"""
+        self._recent: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=FRAMES)
+        """What was added in each frame, at most 2 * WAYS boxes: number of the way that each belongs to, corners"""
+        self._ways: dict[Hashable, int] = {}
+        """Number of the way that a thing is on: each jump begins another one"""
         self._rows: np.ndarray | None = None
         self._keys: list = []
         self._origin = np.zeros(3)
@@ -85,42 +85,46 @@ class MovedWays:
         """Take in where things were in the frame before and where they are."""
         if len(keys) == 0 and not self._recent:
             return
-        added = []
         if len(keys) > int(WAYS):
             # Too many to follow one by one.
             low, high = _few(*_drawn(np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))))
-            added = [(i, *box) for i, box in enumerate(zip(low, high, strict=True))]
+            added = -1 - np.arange(len(low)), low, high
         else:
-            for key, *boxes in zip(keys, *before, *now, strict=True):
-                added += self._steps(key, *boxes)
+            added = self._steps(keys, before, now)
         self._recent.append(added)
-        if not any(self._recent):
+        if not any(len(ways) for ways, _, _ in self._recent):
             self._recent.clear()
-            self._jumps = {}
+            self._ways = {}
         self._write()
 
-    def _steps(
-        self, key: Hashable, low: np.ndarray, high: np.ndarray, new_low: np.ndarray, new_high: np.ndarray,
-    ) -> list[tuple[Hashable, np.ndarray, np.ndarray]]:
-        """Return a thing's box in the frame before and in this one, and whose way each belongs to."""
-        jump = self._jumps.setdefault(key, 0)
-        steps = [((key, jump), low, high)]
-        apart = np.maximum(new_low - high, low - new_high)
-        if not (apart <= JUMP * (high - low)).all():
-            self._jumps[key] = jump = jump + 1
-        steps.append(((key, jump), new_low, new_high))
-        return [step for step in steps if (step[1] <= step[2]).all()]
+    def _steps(self, keys: list, before: Boxes, now: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return things' boxes in the frame before and in this one, and the way that each belongs to."""
+        with np.errstate(invalid="ignore"):
+            apart = np.maximum(now[0] - before[1], before[0] - now[1])
+            near = (apart <= JUMP * (before[1] - before[0])).all(1)
+        for key in keys:
+            if key not in self._ways:
+                self._ways[key] = self._new_way()
+        first = [self._ways[key] for key in keys]
+        for i in np.flatnonzero(~near):
+            self._ways[keys[i]] = self._new_way()
+        ways = np.array([*first, *(self._ways[key] for key in keys)], np.int64)
+        low, high = np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))
+        drawn = (low <= high).all(1)
+        return ways[drawn], low[drawn], high[drawn]
+
+    def _new_way(self) -> int:
+        """Return a number that no way has had since the last time that nothing had moved."""
+        return 1 + max(self._ways.values(), default=-1)
 
     def _write(self) -> None:
         """Tell the device of the ways of all recent frames."""
-        ways: dict[Hashable, Boxes] = {}
-        for added in self._recent:
-            for way, low, high in added:
-                known = ways.get(way, (low, high))
-                ways[way] = np.minimum(low, known[0]), np.maximum(high, known[1])
         values = np.zeros((1 + 2 * int(WAYS), 3), np.float32)
-        if ways:
-            low, high = _few(*(np.array(corners) for corners in zip(*ways.values(), strict=True)))
+        if self._recent:
+            ways, low, high = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
+            order = np.argsort(ways, kind="stable")
+            starts = np.flatnonzero(np.diff(ways[order], prepend=ways[order[0]] - 1))
+            low, high = _few(np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts))
             values[0, 0] = len(low)
             values[1 : 1 + 2 * len(low) : 2], values[2 : 2 + 2 * len(low) : 2] = low, high
         self._writer.write(self.array, values, np.arange(len(values)))

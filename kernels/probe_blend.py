@@ -37,6 +37,8 @@ MIRROR_SHARE = wp.constant(0.1)
 # Updates that count of a probe all of whose rays go through where something has moved of late; of one with a share of
 # such rays as many more.
 WAY_UPDATES = wp.constant(2.0)
+# So many count nevertheless: with fewer it would wait for no turn (probe_turns.SETTLED_COUNT), and frames take longer.
+WAY_UPDATES_MIN = wp.constant(4.0)
 UPDATES_MAX = wp.constant(1.0e6)
 
 # Relative change below which nothing is forgotten.
@@ -159,7 +161,7 @@ def updates_through_ways(
     total = group_sum(total, lanes)
     if not through > 0.0:
         return UPDATES_MAX
-    return WAY_UPDATES * total / through
+    return wp.max(WAY_UPDATES * total / through, WAY_UPDATES_MIN)
 
 
 @wp.kernel

@@ -126,7 +126,8 @@ def test_links_to_everything_change_no_bit(integrator: Integrator) -> None:
     assert np.array_equal(session_of(linked, integrator, 6).read(), plain)
 
 
-@INTEGRATORS
+@pytest.mark.parametrize("integrator", [
+    Integrator.REFERENCE, pytest.param(Integrator.REALTIME, marks=pytest.mark.slow)])
 def test_each_lamp_lights_its_own_square(integrator: Integrator) -> None:
     """Light by lamps and by an emissive mesh what each is linked to."""
     dark = {"world": 0.05}

@@ -100,6 +100,7 @@ def test_one_bright_place_lights_a_hall(hall_truth):
     assert mean_in_hall(Integrator.REALTIME, (240, 136), 32) == pytest.approx(hall_truth, rel=0.01)
 
 
+@pytest.mark.slow
 def test_light_spreads_over_more_cells_than_rays(hall_truth):
     """Find it in the first frame, within 2 %, where most hits are in cells that no bounce ray starts from.
 

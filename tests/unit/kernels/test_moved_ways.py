@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from burnish.kernels.moved_ways import WAY_SAMPLES, WAY_SAMPLES_MIN, WAYS, crosses_way, way_cap, way_share
-from burnish.kernels.probe_blend import UPDATES_MAX, WAY_UPDATES, updates_through_ways
+from burnish.kernels.probe_blend import UPDATES_MAX, WAY_UPDATES, WAY_UPDATES_MIN, updates_through_ways
 from burnish.kernels.probe_rays import ProbeRays
 from burnish.kernels.probe_types import CELLS, NO_CELL, ProbeUpdates
 
@@ -16,7 +16,7 @@ from tests.device import DEVICE
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 COUNT = 4000
-STEPS = 2000
+STEPS = 800
 """Points along a ray that are looked at one by one"""
 
 
@@ -151,7 +151,7 @@ def test_probes_remember_by_the_share_of_their_rays():
     wp.launch(count_updates, count, [wp.array(ways, dtype=wp.vec3, device=DEVICE), updates, rays], [found],
               device=DEVICE)
     due = float(WAY_UPDATES) * weight.sum(1) / (weight * through).sum(1)
-    np.testing.assert_allclose(found.numpy(), due, rtol=1e-4)
-    assert 4.0 < np.median(due) < 20.0
+    np.testing.assert_allclose(found.numpy(), np.maximum(due, float(WAY_UPDATES_MIN)), rtol=1e-4)
+    assert float(WAY_UPDATES_MIN) < np.median(due) < 20.0
     wp.launch(count_updates, count, [wp.zeros(3, dtype=wp.vec3, device=DEVICE), updates, rays], [found], device=DEVICE)
     assert (found.numpy() == float(UPDATES_MAX)).all()
