@@ -52,13 +52,13 @@ class MotionTracker:
     def advance(self, scene: DeviceScene) -> Motion:
         """Go on to the next frame; call it once a frame, after the scene has been brought up to date."""
         moved_rows = scene.take_moved_rows()
-        if scene.rows is self._rows:
-            self._follow(scene.rows, moved_rows)
-        else:
-            self._take_over(scene)
         deformed, scene.store.replaced = scene.store.replaced, {}
         scene.store.remember = True
-        self.ways.advance(scene, self._moving, deformed)
+        if scene.rows is self._rows:
+            self._follow(scene.rows, moved_rows)
+            self.ways.follow(scene, self._moving, deformed)
+        else:
+            self.ways.take_over(scene, self._take_over(scene), self._moving, deformed)
         self._fit(scene)
         self._update_positions(scene, deformed)
         moved = len(self._moving) > 0 or bool(deformed)
@@ -80,21 +80,25 @@ class MotionTracker:
             self._now[moved] = rows["to_world"][moved]
         self._moving = moved[(self._now[moved] != self._before[moved]).any((1, 2))] if len(moved) else moved
 
-    def _take_over(self, scene: DeviceScene) -> None:
-        """Go on with other instances: those known by their keys come from where they were, others stand still."""
+    def _take_over(self, scene: DeviceScene) -> np.ndarray | None:
+        """Go on with other instances: those known by their keys come from where they were, others stand still.
+
+        Returns int64 [N], their rows in the frame before, -1 for new ones; None where nothing of then counts any more.
+        """
         keys = [] if scene.table is None else scene.table.object_keys
         now, before = scene.rows["to_world"].copy(), scene.rows["to_world"].copy()
+        there = None
         if self._rows is not None and (scene.origin == self._origin).all():
-            if keys == self._keys:
-                before = self._now
-            else:
+            there = np.arange(len(keys))
+            if keys != self._keys:
                 places = {key: i for i, key in enumerate(self._keys)}
-                known = [(i, places[key]) for i, key in enumerate(keys) if key in places]
-                here, there = np.array(known, np.int64).reshape(-1, 2).T
-                before[here] = self._now[there]
+                there = np.array([places.get(key, -1) for key in keys], np.int64)
+            known = there >= 0
+            before[known] = self._now[there[known]]
         self._rows, self._keys, self._origin = scene.rows, keys, scene.origin.copy()
         self._now, self._before, self._late = now, before, np.arange(len(now))
         self._moving = np.flatnonzero((now != before).any((1, 2)))
+        return there
 
     def _fit(self, scene: DeviceScene) -> None:
         """Allocate what the scene has outgrown."""

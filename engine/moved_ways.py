@@ -36,69 +36,67 @@ class MovedWays:
         """What was added in each frame, at most 2 * WAYS boxes: number of the way that each belongs to, corners"""
         self._ways: dict[Hashable, int] = {}
         """Number of the way that a thing is on: each jump begins another one"""
-        self._rows: np.ndarray | None = None
         self._keys: list = []
-        self._origin = np.zeros(3)
         self._low = self._high = np.zeros((0, 3))
         """Bounds of the instances in the frame before, inside out of those that are not drawn"""
 
-    def advance(self, scene: DeviceScene, moving: np.ndarray, deformed: Collection) -> None:
-        """Go on to the next frame.
+    def follow(self, scene: DeviceScene, moving: np.ndarray, deformed: Collection) -> None:
+        """Go on to the next frame, which has the instances of the one before.
 
         Args:
             scene: As it is now.
             moving: Ascending, rows of instances that are not where they were in the frame before.
             deformed: Keys of the meshes that have another shape.
         """
-        if deformed:
-            meshes = np.array([key in deformed for key in scene.table.mesh_keys], bool)
-            moving = np.union1d(moving, np.flatnonzero(meshes[scene.table.mesh_index]))
-        if scene.rows is not self._rows:
-            self._take_over(scene, moving)
-            return
-        before, now = (self._low[moving], self._high[moving]), _bounds(scene, moving)
-        self._low[moving], self._high[moving] = now
-        self._add([self._keys[row] for row in moving], before, now)
+        changed = _with_shapes(scene, moving, deformed)
+        before, now = (self._low[changed], self._high[changed]), _bounds(scene, changed)
+        self._low[changed], self._high[changed] = now
+        self._add([self._keys[row] for row in changed], before, now)
 
-    def _take_over(self, scene: DeviceScene, moving: np.ndarray) -> None:
-        """Go on with other instances, some of which are known by their keys."""
-        keys = [] if scene.table is None else scene.table.object_keys
-        low, high = _bounds(scene, np.arange(len(keys)))
-        if self._rows is None or (scene.origin != self._origin).any():
+    def take_over(
+        self, scene: DeviceScene, there: np.ndarray | None, moving: np.ndarray, deformed: Collection,
+    ) -> None:
+        """Go on to the next frame, which has other instances; arguments as of `follow`.
+
+        `there`: int64 [N], their rows in the frame before, -1 for new ones; None where nothing of then counts any more.
+        """
+        old_keys, old_low, old_high = self._keys, self._low, self._high
+        self._keys = [] if scene.table is None else scene.table.object_keys
+        self._low, self._high = _bounds(scene, np.arange(len(self._keys)))
+        if there is None:
             self._recent.clear()
             self._write()
-        else:
-            places = {key: i for i, key in enumerate(self._keys)}
-            there = np.array([places.pop(key, -1) for key in keys], np.int64)
-            new, gone = np.flatnonzero(there < 0), list(places.values())
-            moved = np.setdiff1d(moving, new)
-            nothing = np.full((len(new), 3), np.inf), np.full((len(gone), 3), np.inf)
-            corners = [np.concatenate(parts) for parts in (
-                (self._low[there[moved]], nothing[0], self._low[gone]),
-                (self._high[there[moved]], -nothing[0], self._high[gone]),
-                (low[moved], low[new], nothing[1]), (high[moved], high[new], -nothing[1]))]
-            self._add([*(keys[i] for i in (*moved, *new)), *places], corners[:2], corners[2:])
-        self._rows, self._keys, self._origin = scene.rows, keys, scene.origin.copy()
-        self._low, self._high = low, high
+            return
+        # What was not there before or is no more has no box there: one that is inside out.
+        nothing = np.full((1, 3), np.inf)
+        low, high = np.concatenate((old_low, nothing)), np.concatenate((old_high, -nothing))
+        new_low, new_high = np.concatenate((self._low, nothing)), np.concatenate((self._high, -nothing))
+        gone = np.setdiff1d(np.arange(len(old_keys)), there)
+        changed = np.union1d(_with_shapes(scene, moving, deformed), np.flatnonzero(there < 0))
+        before = np.concatenate((there[changed], gone))
+        now = np.concatenate((changed, np.full(len(gone), -1)))
+        self._add([*(self._keys[row] for row in changed), *(old_keys[row] for row in gone)],
+                  (low[before], high[before]), (new_low[now], new_high[now]))
 
     def _add(self, keys: list, before: Boxes, now: Boxes) -> None:
         """Take in where things were in the frame before and where they are."""
         if len(keys) == 0 and not self._recent:
             return
+        low, high = np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))
+        drawn = (low <= high).all(1)
         if len(keys) > int(WAYS):
             # Too many to follow one by one.
-            low, high = _few(*_drawn(np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))))
-            added = -1 - np.arange(len(low)), low, high
+            low, high = _few(low[drawn], high[drawn])
+            self._recent.append((-1 - np.arange(len(low)), low, high))
         else:
-            added = self._steps(keys, before, now)
-        self._recent.append(added)
+            self._recent.append((self._ways_of(keys, before, now)[drawn], low[drawn], high[drawn]))
         if not any(len(ways) for ways, _, _ in self._recent):
             self._recent.clear()
             self._ways = {}
         self._write()
 
-    def _steps(self, keys: list, before: Boxes, now: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return things' boxes in the frame before and in this one, and the way that each belongs to."""
+    def _ways_of(self, keys: list, before: Boxes, now: Boxes) -> np.ndarray:
+        """Return the ways on which things were in the frame before and, after all these, on which they are."""
         with np.errstate(invalid="ignore"):
             apart = np.maximum(now[0] - before[1], before[0] - now[1])
             near = (apart <= JUMP * (before[1] - before[0])).all(1)
@@ -108,10 +106,7 @@ class MovedWays:
         first = [self._ways[key] for key in keys]
         for i in np.flatnonzero(~near):
             self._ways[keys[i]] = self._new_way()
-        ways = np.array([*first, *(self._ways[key] for key in keys)], np.int64)
-        low, high = np.concatenate((before[0], now[0])), np.concatenate((before[1], now[1]))
-        drawn = (low <= high).all(1)
-        return ways[drawn], low[drawn], high[drawn]
+        return np.array([*first, *(self._ways[key] for key in keys)], np.int64)
 
     def _new_way(self) -> int:
         """Return a number that no way has had since the last time that nothing had moved."""
@@ -136,10 +131,12 @@ def _bounds(scene: DeviceScene, rows: np.ndarray) -> Boxes:
     return np.where(drawn, scene.low[rows], np.inf), np.where(drawn, scene.high[rows], -np.inf)
 
 
-def _drawn(low: np.ndarray, high: np.ndarray) -> Boxes:
-    """Return the boxes that are not inside out."""
-    drawn = (low <= high).all(1)
-    return low[drawn], high[drawn]
+def _with_shapes(scene: DeviceScene, moving: np.ndarray, deformed: Collection) -> np.ndarray:
+    """Return, ascending, rows of instances that move or whose mesh has another shape."""
+    if not deformed:
+        return moving
+    meshes = np.array([key in deformed for key in scene.table.mesh_keys], bool)
+    return np.union1d(moving, np.flatnonzero(meshes[scene.table.mesh_index]))
 
 
 def _few(low: np.ndarray, high: np.ndarray) -> Boxes:
